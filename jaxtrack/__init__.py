@@ -1,0 +1,1 @@
+"""Differentiable, batched estimators for tracking many targets in sonar and radar data."""
