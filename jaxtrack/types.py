@@ -62,7 +62,7 @@ class Pings(NamedTuple):
 
 
 class Lines(NamedTuple):
-    """Straight lines ρ = x cos θ + y sin θ, θ in [0, π), ρ signed: what a vote without time yields."""
+    """Lines ρ = x cos θ + y sin θ, θ in [0, π), ρ signed: what a vote without time yields."""
 
     rho_m: Array  # [M]
     theta_rad: Array  # [M]

@@ -1,1 +1,30 @@
-"""To be described."""
+"""Host side: files and arrays to padded scans, tracks to files.
+
+    range, bearing ─ position_from_polar ─┐
+    arrays of positions ──────────────────┴─ scans_from_arrays ─┐
+    a CSV file ── read_detections ──────────────────────────────┴─► Recording
+                                                                      │  │
+    a CSV file ◄── write_tracks ◄── Tracks ◄── estimators ◄── scans ──┘  │
+                         └───────────── epoch, origin, axes ─────────────┘
+
+Everything here is NumPy in float64. A `Recording` holds scans relative to an epoch and an origin,
+so that they survive float32 on the device, and what `write_tracks` needs to put both back. Wrong
+values end here, as a `DataError` that names file, row and column.
+"""
+
+from jaxtrack.io.arrays import scans_from_arrays
+from jaxtrack.io.detections_csv import read_detections
+from jaxtrack.io.errors import DataError
+from jaxtrack.io.polar import covariance_from_polar, position_from_polar
+from jaxtrack.io.recording import Recording
+from jaxtrack.io.tracks_csv import write_tracks
+
+__all__ = [
+    "DataError",
+    "Recording",
+    "covariance_from_polar",
+    "position_from_polar",
+    "read_detections",
+    "scans_from_arrays",
+    "write_tracks",
+]

@@ -1,1 +1,32 @@
-"""To be described."""
+"""Scores of estimates against the truth: distances between sets of targets, track initiation.
+
+`ospa` and `gospa` compare a set of estimated states with a set of true ones and carry gradients;
+`initiation_scores` compares detected lines with true straight trajectories, and `divergence` and
+`decline` describe the peaks that the lines came from.
+"""
+
+from jaxtrack.metrics.gospa import Gospa, gospa
+from jaxtrack.metrics.initiation import (
+    MAX_DISCRIMINATION,
+    InitiationScores,
+    decline,
+    divergence,
+    initiation_scores,
+)
+from jaxtrack.metrics.lines import least_squares_line, line_difference, line_distance
+from jaxtrack.metrics.ospa import Ospa, ospa
+
+__all__ = [
+    "MAX_DISCRIMINATION",
+    "Gospa",
+    "InitiationScores",
+    "Ospa",
+    "decline",
+    "divergence",
+    "gospa",
+    "initiation_scores",
+    "least_squares_line",
+    "line_difference",
+    "line_distance",
+    "ospa",
+]

@@ -1,1 +1,28 @@
-"""To be described."""
+"""How targets move and how they are seen: straight lines, motion, observation likelihoods."""
+
+from jaxtrack.models.line import (
+    line_covariance,
+    line_difference,
+    line_through,
+    point_line_distance,
+    wrap_line,
+)
+from jaxtrack.models.motion import propagate, transition_matrix
+from jaxtrack.models.observation import (
+    PositionSensor,
+    position_log_likelihood_ratio,
+    position_responsibility,
+)
+
+__all__ = [
+    "PositionSensor",
+    "line_covariance",
+    "line_difference",
+    "line_through",
+    "point_line_distance",
+    "position_log_likelihood_ratio",
+    "position_responsibility",
+    "propagate",
+    "transition_matrix",
+    "wrap_line",
+]

@@ -1,1 +1,62 @@
-"""Safe and masked maths, assignment, bijectors and entry checks; the floor everything stands on."""
+"""Safe and masked maths, assignment, bijectors and entry checks; the floor everything stands on.
+
+`safe` has elementary functions with finite gradients at their singular points and the reductions
+that are right under `jit(grad)`; `masked` has reductions that ignore padding; `assignment` has the
+linear assignment problem; `bijectors` takes constrained parameters to the reals and back; `checks`
+words the errors of shapes, dtypes and static arguments.
+"""
+
+from jaxtrack.numerics.assignment import Assignment, assign
+from jaxtrack.numerics.bijectors import Bijector, bounded, identity, positive, simplex
+from jaxtrack.numerics.checks import check_array, check_choice, check_size
+from jaxtrack.numerics.masked import (
+    masked_argmax,
+    masked_argmin,
+    masked_logsumexp,
+    masked_max,
+    masked_mean,
+    masked_min,
+    masked_sum,
+)
+from jaxtrack.numerics.safe import (
+    as_float,
+    safe_arctan2,
+    safe_divide,
+    safe_log,
+    safe_max,
+    safe_min,
+    safe_norm,
+    safe_sqrt,
+    take_along,
+    wrap_angle,
+)
+
+__all__ = [
+    "Assignment",
+    "Bijector",
+    "as_float",
+    "assign",
+    "bounded",
+    "check_array",
+    "check_choice",
+    "check_size",
+    "identity",
+    "masked_argmax",
+    "masked_argmin",
+    "masked_logsumexp",
+    "masked_max",
+    "masked_mean",
+    "masked_min",
+    "masked_sum",
+    "positive",
+    "safe_arctan2",
+    "safe_divide",
+    "safe_log",
+    "safe_max",
+    "safe_min",
+    "safe_norm",
+    "safe_sqrt",
+    "simplex",
+    "take_along",
+    "wrap_angle",
+]

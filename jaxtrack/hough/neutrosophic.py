@@ -1,0 +1,307 @@
+"""Neutrosophic Hough transform: a pair votes as far as the interval before speaks for it.
+
+The pairs of the interval before are the kernels. Near one of them a pair has a true membership T,
+near the line halfway between two of them an uncertain one I, and F = λ_k P_F speaks for clutter.
+The pair votes with the largest of the normalised three, and not at all where F is the largest.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxtrack.hough.grid import Grid, Sizes, check_sizes
+from jaxtrack.hough.pairs import Pairs, SpeedGate, candidate_pairs, pair_covariances
+from jaxtrack.hough.peaks import HoughInfo, Peaks, extract, inform
+from jaxtrack.hough.votes import VoteKernel, Votes, gaussian, hard, scaled_gaussian, soft
+from jaxtrack.models.line import line_difference, line_through, wrap_line
+from jaxtrack.numerics.checks import check_choice
+from jaxtrack.numerics.choice import choose, greater, step
+from jaxtrack.numerics.safe import safe_divide, safe_sqrt
+from jaxtrack.types import Array, Key, Lines, Scan
+
+LANDINGS = ("own_cell", "own_and_kernel_cell", "spread")
+SCALES = ("tolerance", "covariance")
+
+
+class NeutrosophicParams(NamedTuple):
+    """Parameters of the neutrosophic Hough transform, with the paper's values. Traced."""
+
+    grid: Grid = Grid()
+    peaks: Peaks = Peaks()
+    speed: SpeedGate = SpeedGate()
+    eps_rho_m: Array | float = 20.0  # tolerance along ρ
+    eps_theta_rad: Array | float = 0.004  # tolerance along θ
+    p_false: Array | float = 0.01  # P_F, the sensor's false alarm rate
+    adjustment: Array | float = 1.0  # λ_k
+    p_gate: Array | float = 0.99  # P_G of the association gates
+    sigma_m: Array | float = 10.0  # noise of a detection, for gates and covariances
+
+
+class Rules(NamedTuple):
+    """What the paper leaves open. Static."""
+
+    landing: str = "spread"  # where a vote counts: own_cell, own_and_kernel_cell or spread
+    scale: str = "tolerance"  # memberships by the two tolerances, or by each pair's covariance
+    share_measurement: bool = True  # a kernel must end in the detection that the pair begins with
+    first_interval_votes: bool = True  # whether pairs without an interval before them vote
+
+
+class Memberships(NamedTuple):
+    """Every pair's memberships before normalisation, its vote and its best kernel; all [K-1, P]."""
+
+    true: Array
+    uncertain: Array
+    false: Array
+    vote: Array
+    kernel_rho_m: Array
+    kernel_theta_rad: Array
+    overflow: Array  # [] a detection had more kernels than `sizes.predecessors`
+
+
+def memberships(
+    pairs: Pairs,
+    params: NeutrosophicParams,
+    temperature: Array | None = None,
+    *,
+    sizes: Sizes,
+    rules: Rules,
+) -> Memberships:
+    """Return T, I, F and the vote of every pair.
+
+        μ(p, o) = exp(−Δρ²/2ε_ρ² − Δθ²/2ε_θ²)  in the box |Δρ| ≤ 2ε_ρ, |Δθ| ≤ 2ε_θ
+        T = (1 − P_F) max_o w_o μ(p, o),   F = λ_k P_F,   T' + I' + F' = 1
+        vote = max(T', I')  where it exceeds F', else 0
+
+    Args:
+        pairs: candidate pairs, ρ from the grid's origin.
+        params: tolerances and rates.
+        temperature: None for the hard memberships; else maxima become softmax-weighted means, and
+            boxes, gates and the decision against F sigmoids of this width.
+        sizes: `predecessors` bounds the kernels of a pair that share its detection.
+        rules: static rules.
+
+    Source: neutrosophic Hough transform (2018), equations 14–19, 24 and 27–30.
+
+    Note:
+        Read literally, F normalises to one where no kernel is near, and clutter gets a full vote;
+        here F winning means no vote. I is the membership to the line through the midpoints of the
+        two best kernels, if the later detection lies in both kernels' association gates.
+    """
+    number = lambda x: jnp.asarray(x, pairs.rho_m.dtype)
+    origin, sure = number(params.grid.origin_m), 1 - number(params.p_false)
+    own, kernel = scales(pairs, params, rules)
+
+    def interval(now: Pairs, before: Pairs, own: Array, kernel: Array) -> tuple[Array, ...]:
+        index, there = _kernels(now, before, sizes, rules)
+        d_rho, d_theta, box, near = _membership(
+            (now.rho_m[:, None], now.theta_rad[:, None], own[:, None]),
+            (before.rho_m[index], before.theta_rad[index], _rows(kernel, index, rules)),
+            temperature,
+        )
+        inside = there & (box > 0)
+        value = jnp.where(inside, before.weight[index] * box * near, 0.0)
+        best, left = choose(value, inside, temperature)
+        second, _ = choose(value * left, inside & (left > 0), temperature)
+
+        ends = [
+            [pick(x, index) for pick in (best, second)] for x in (before.first_m, before.second_m)
+        ]
+        middle = [(a + b) / 2 for a, b in ends]
+        apart = (middle[0] != middle[1]).any(-1)
+        between = line_through(
+            middle[0], jnp.where(apart[:, None], middle[1], middle[0] + 1.0), origin
+        )
+        *_, box_between, near_between = _membership(
+            (now.rho_m, now.theta_rad, own), (*between, best(kernel, index)), temperature
+        )
+        support = jnp.where(apart, box_between * near_between, 0.0)
+        for pick, a, b in zip((best, second), *ends, strict=True):
+            gate = _gate(now, a, b, pick(before.dt_s, index), params, temperature)
+            support = support * gate * pick(box)
+        weights = best(before.weight, index), second(before.weight, index)
+        uncertain = sure * jnp.where(weights[0] < weights[1], *weights) * support
+        nearest = wrap_line(now.rho_m - best(d_rho), now.theta_rad - best(d_theta))
+        return sure * best(value), uncertain, *nearest, (before.count > sizes.predecessors).any()
+
+    now, before = (jax.tree.map(lambda x, s=s: x[s], pairs) for s in (slice(1, None), slice(-1)))
+    true, uncertain, rho, theta, full = jax.vmap(interval)(now, before, own[1:], kernel[:-1])
+    false = number(params.adjustment) * number(params.p_false)
+    total = true + uncertain + false
+    largest = safe_divide(greater(true, uncertain, temperature), total)
+    vote = largest * step(largest - safe_divide(false, total), temperature) * now.weight
+    opening = sure * pairs.weight[:1]
+    join = lambda first, rest: jnp.concatenate([first, jnp.where(now.mask, rest, 0.0)])
+    return Memberships(
+        true=join(opening, true),
+        uncertain=join(0 * opening, uncertain),
+        false=jnp.full_like(pairs.rho_m, 1.0) * false,
+        vote=join(opening if rules.first_interval_votes else 0 * opening, vote),
+        kernel_rho_m=join(pairs.rho_m[:1], rho),
+        kernel_theta_rad=join(pairs.theta_rad[:1], theta),
+        overflow=full.any() if rules.share_measurement else jnp.asarray(False),
+    )
+
+
+def estimate(
+    scans: Scan,
+    params: NeutrosophicParams,
+    key: Key | None = None,
+    *,
+    sizes: Sizes,
+    rules: Rules = Rules(),  # noqa: B008 - an immutable tuple
+) -> tuple[Lines, HoughInfo]:
+    """Return the strongest lines of the neutrosophic vote.
+
+    Args:
+        scans: K looks stacked.
+        params: grid, extractor, speeds, tolerances and rates.
+        key: not used; part of every window estimator's signature.
+        sizes: static sizes.
+        rules: static rules.
+
+    Raises:
+        ValueError: an unknown landing or scale.
+
+    Example:
+        >>> scans = Scan(jnp.arange(3.0), jnp.ones(3, bool),
+        ...              jnp.array([[[0.0, 8.0]], [[200.0, 8.0]], [[450.0, 8.0]]]),
+        ...              jnp.ones((3, 1), bool))
+        >>> lines, info = estimate(scans, NeutrosophicParams(), sizes=Sizes(lines=1, pairs=4))
+        >>> print(lines.votes.round(2), lines.rho_m)
+        [1.98] [8.]
+
+    Source: neutrosophic Hough transform (2018), section IV.
+    """
+    return _estimate(scans, params, None, sizes=sizes, rules=rules)
+
+
+def soft_estimate(
+    scans: Scan,
+    params: NeutrosophicParams,
+    temperature: Array,
+    key: Key | None = None,
+    *,
+    sizes: Sizes,
+    rules: Rules = Rules(),  # noqa: B008
+) -> tuple[Lines, HoughInfo]:
+    """Return the lines of `estimate` with soft memberships and, for the cell landings, soft cells.
+
+    Differentiable in detections, weights, tolerances and rates; tends to `estimate` as the
+    temperature goes to zero (a vote lands in cells with the tolerances times the temperature).
+    """
+    return _estimate(scans, params, temperature, sizes=sizes, rules=rules)
+
+
+def _estimate(
+    scans: Scan,
+    params: NeutrosophicParams,
+    temperature: Array | None,
+    *,
+    sizes: Sizes,
+    rules: Rules,
+) -> tuple[Lines, HoughInfo]:
+    check_sizes(sizes)
+    check_choice("rules.landing", rules.landing, LANDINGS)
+    check_choice("rules.scale", rules.scale, SCALES)
+    dtype = scans.position_m.dtype
+    grid, eps = params.grid, (params.eps_rho_m, params.eps_theta_rad)
+    eps_rho, eps_theta = (jnp.asarray(x, dtype) for x in eps)
+    origin = jnp.asarray(grid.origin_m, dtype)
+    pairs = candidate_pairs(scans, origin, params.speed, pairs=sizes.pairs)
+    member = memberships(pairs, params, temperature, sizes=sizes, rules=rules)
+    flat = lambda x: x.reshape(-1, *x.shape[2:])
+    query = Votes(flat(pairs.rho_m), flat(pairs.theta_rad), flat(member.vote), flat(pairs.mask))
+    votes = query
+    kernel: VoteKernel
+    if rules.landing == "spread" and rules.scale == "covariance":
+        own, _ = scales(pairs, params, rules)
+        kernel = scaled_gaussian(flat(own), query.mask)
+    elif rules.landing == "spread":
+        kernel = gaussian(eps_rho, eps_theta)
+    elif temperature is None:
+        kernel = hard(grid, sizes, dtype)
+    else:
+        width = jnp.asarray(temperature, dtype)
+        kernel = soft(grid, sizes, width * eps_rho, width * eps_theta, dtype)
+    if rules.landing == "own_and_kernel_cell":
+        after = member.vote.at[0].set(0.0)  # the first interval has no kernels
+        there = query._replace(
+            rho_m=flat(member.kernel_rho_m),
+            theta_rad=flat(member.kernel_theta_rad),
+            weight=flat(after),
+        )
+        votes = Votes(*(jnp.concatenate(both) for both in zip(query, there, strict=True)))
+    lines = extract(query, votes, kernel, grid, params.peaks, sizes=sizes)
+    overflow = pairs.overflow.any() | member.overflow
+    return lines, inform(lines, scans, params.peaks, overflow, votes)
+
+
+def scales(pairs: Pairs, params: NeutrosophicParams, rules: Rules) -> tuple[Array, Array]:
+    """Return var ρ, cov and var θ [K-1, P, 3] of pairs as they vote, and as kernels."""
+    number = lambda x: jnp.asarray(x, pairs.rho_m.dtype)
+    if rules.scale == "covariance":
+        covariance = pair_covariances(pairs, number(params.grid.origin_m), number(params.sigma_m))
+        both = jnp.stack(covariance, axis=-1)
+        return both, both
+    zero = jnp.zeros_like(number(0.0))
+    eps = [number(params.eps_rho_m) ** 2, zero, number(params.eps_theta_rad) ** 2]
+    own = jnp.broadcast_to(jnp.stack(eps), (*pairs.mask.shape, 3))
+    return own, jnp.zeros_like(own)
+
+
+def _kernels(now: Pairs, before: Pairs, sizes: Sizes, rules: Rules) -> tuple[Array, Array]:
+    """Return which pairs of the interval before are kernels of each pair, [P, E], and a mask."""
+    n_pairs = now.mask.shape[0]
+    if not rules.share_measurement:
+        everyone = jnp.arange(n_pairs, dtype=jnp.int32)[None, :]
+        return everyone, jnp.broadcast_to(before.mask[None, :], (n_pairs, n_pairs))
+    offset = jnp.arange(min(sizes.predecessors, n_pairs), dtype=jnp.int32)
+    index = jnp.minimum(before.start[now.first][:, None] + offset[None, :], n_pairs - 1)
+    return index, (offset[None, :] < before.count[now.first][:, None]) & now.mask[:, None]
+
+
+def _rows(kernel: Array, index: Array, rules: Rules) -> Array:
+    """Read the kernels' scales; nothing is gathered where all of them are zero."""
+    return kernel[index] if rules.scale == "covariance" else kernel[:1, None]
+
+
+def _membership(
+    line: tuple[Array, Array, Array], other: tuple[Array, Array, Array], temperature: Array | None
+) -> tuple[Array, Array, Array, Array]:
+    """Return Δρ, Δθ, the box indicator and exp(−½ Δᵀ S⁻¹ Δ) with S the sum of both scales."""
+    d_rho, d_theta = line_difference(*line[:2], *other[:2])
+    # Across the seam the other line is read as (−ρ, θ ± π), which turns its covariance's sign.
+    turned = jnp.abs(line[1] - other[1]) > jnp.pi / 2
+    var_rho, var_theta = (line[2][..., c] + other[2][..., c] for c in (0, 2))
+    cov = line[2][..., 1] + jnp.where(turned, -other[2][..., 1], other[2][..., 1])
+    determinant = var_rho * var_theta - cov**2
+    squared = var_theta * d_rho**2 - 2 * cov * d_rho * d_theta + var_rho * d_theta**2
+    near = jnp.exp(-safe_divide(squared, determinant) / 2)
+    box = step(2 - jnp.abs(d_rho) / safe_sqrt(var_rho), temperature)
+    return (
+        d_rho,
+        d_theta,
+        box * step(2 - jnp.abs(d_theta) / safe_sqrt(var_theta), temperature),
+        near,
+    )
+
+
+def _gate(
+    now: Pairs,
+    a: Array,
+    b: Array,
+    dt_s: Array,
+    params: NeutrosophicParams,
+    temperature: Array | None,
+) -> Array:
+    """Return whether each pair's later detection lies in the association gate of kernel a → b.
+
+    |z − (b + r (b − a))|² ≤ −2 ln(1 − P_G) σ² ((1 + r)² + r² + 1),  r the ratio of time steps.
+    """
+    number = lambda x: jnp.asarray(x, now.rho_m.dtype)
+    ratio = safe_divide(now.dt_s, dt_s)
+    squared = ((now.second_m - (b + ratio[:, None] * (b - a))) ** 2).sum(-1)
+    variance = number(params.sigma_m) ** 2 * ((1 + ratio) ** 2 + ratio**2 + 1)
+    limit = -2 * jnp.log1p(-number(params.p_gate)) * variance
+    return step(1 - safe_divide(squared, limit), temperature)

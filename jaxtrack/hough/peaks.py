@@ -1,0 +1,194 @@
+"""Peaks of an accumulation, the same for every method.
+
+Greedy non-maximum suppression: take the largest value, silence everything within the separation,
+repeat. Then each peak moves to the weighted mean of the votes nearby, and gets the detections that
+lie close to its line. `extract` reads votes at parameter points; `extract_dense` is the same on an
+accumulator with a value a cell.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxtrack.hough.grid import Grid, Sizes, centre_of, steps
+from jaxtrack.hough.votes import VoteKernel, Votes, evaluate, upper_bound
+from jaxtrack.models.line import line_difference, point_line_distance, wrap_line
+from jaxtrack.numerics.safe import safe_divide
+from jaxtrack.types import Array, Lines, Scan
+
+
+class Peaks(NamedTuple):
+    """Settings of the extractor. Traced."""
+
+    separation_rho_m: Array | float = 102.0  # two lines are one when nearer than this …
+    separation_theta_rad: Array | float = 0.1003  # … and than this
+    gate: Array | float = 0.0  # lines with fewer votes are masked out
+    member_m: Array | float = 30.0  # how near a line a detection belongs to it
+
+
+class HoughInfo(NamedTuple):
+    """What people look at."""
+
+    relative_votes: Array  # [M] votes over the largest votes (equation 32)
+    members: Array  # [M, K, N] detections that belong to a line
+    overflow: Array  # [] a table was too small: the result may lack candidates
+    votes: Votes | None  # every vote cast; None for the dense method
+
+
+def extract(
+    query: Votes, votes: Votes, kernel: VoteKernel, grid: Grid, peaks: Peaks, *, sizes: Sizes
+) -> Lines:
+    """Return the strongest lines among the query points, ρ measured from (0, 0).
+
+    Args:
+        query: where the accumulation is read, [Q] (weights are not used).
+        votes: what is accumulated, [V].
+        kernel: how votes count.
+        grid: the point that ρ of queries and votes is measured from.
+        peaks: separation and gate.
+        sizes: `lines` to extract, `candidates` to evaluate exactly.
+
+    Example:
+        >>> votes = Votes(jnp.array([10.0, 10.0, -50.0]), jnp.array([0.5, 0.5, 2.0]),
+        ...               jnp.ones(3), jnp.ones(3, bool))
+        >>> from jaxtrack.hough.votes import gaussian
+        >>> kernel = gaussian(jnp.array(5.0), jnp.array(0.1))
+        >>> print(extract(votes, votes, kernel, Grid(), Peaks(), sizes=Sizes(lines=2)).votes)
+        [2. 1.]
+    """
+    rho, theta, mask = query.rho_m, query.theta_rad, query.mask
+    if sizes.candidates < rho.shape[0]:
+        bound = jnp.where(mask, upper_bound(rho, theta, votes, kernel), -1.0)
+        best = jnp.sort(jax.lax.top_k(jax.lax.stop_gradient(bound), sizes.candidates)[1])
+        rho, theta, mask = rho[best], theta[best], mask[best]
+    rho, theta = jnp.where(mask, rho, 0.0), jnp.where(mask, theta, 0.0)
+    value = jnp.where(mask, evaluate(rho, theta, votes, kernel), 0.0)
+
+    def pick(left: Array, _: None) -> tuple[Array, tuple[Array, Array]]:
+        top = jnp.argmax(left)
+        d_rho, d_theta = line_difference(rho[top], theta[top], rho, theta)
+        return jnp.where(_separate(d_rho, d_theta, peaks), left, 0.0), (top, left[top] > 0)
+
+    _, (picked, found) = jax.lax.scan(pick, jax.lax.stop_gradient(value), length=sizes.lines)
+
+    def refine(rho: Array, theta: Array) -> tuple[Array, Array]:
+        near = jnp.where(votes.mask, votes.weight * kernel.nearby(rho, theta, votes), 0.0)
+        d_rho, d_theta = line_difference(rho, theta, votes.rho_m, votes.theta_rad)
+        shift = lambda d: safe_divide((near * jnp.where(votes.mask, d, 0.0)).sum(), near.sum())
+        return wrap_line(rho - shift(d_rho), theta - shift(d_theta))
+
+    refined = jax.vmap(refine)(rho[picked], theta[picked])
+    return _lines(*refined, value[picked], found, grid, peaks)
+
+
+def extract_dense(accumulator: Array, grid: Grid, peaks: Peaks, *, sizes: Sizes) -> Lines:
+    """Return the strongest cells of a dense accumulator [n_θ, n_ρ] as lines.
+
+    The same greedy rule as `extract`. Row maxima are kept, so a peak costs the rows within the
+    separation instead of the whole accumulator.
+
+    Note:
+        The loop over rows has a traced length: map over realizations with `jax.lax.map` (a
+        micro-batch of one), not with `vmap`. The separation in θ must stay below π/2.
+    """
+    dtype = accumulator.dtype
+    smoothed = smooth(accumulator, sizes=sizes) if sizes.smooth else accumulator
+    rho_step, theta_step = steps(grid, sizes, dtype)
+    rows_apart = jnp.floor(jnp.asarray(peaks.separation_theta_rad, dtype) / theta_step)
+    cells_apart = jnp.floor(jnp.asarray(peaks.separation_rho_m, dtype) / rho_step)
+    rows_apart = jnp.minimum(rows_apart, sizes.theta // 2 - 1).astype(jnp.int32)
+    cells_apart = jnp.minimum(cells_apart, sizes.rho).astype(jnp.int32)
+    cells = jnp.arange(sizes.rho, dtype=jnp.int32)
+
+    def pick(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], tuple[Array, ...]]:
+        left, row_max = carry
+        j = jnp.argmax(row_max).astype(jnp.int32)
+        i = jnp.argmax(left[j]).astype(jnp.int32)
+        value = left[j, i]
+
+        def silence(d_j: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+            left, row_max = carry
+            row = j + d_j
+            turned = (row < 0) | (row >= sizes.theta)
+            row = jnp.where(turned, row - jnp.sign(d_j) * sizes.theta, row)
+            centre = jnp.where(turned, sizes.rho - 1 - i, i)
+            rest = jnp.where(jnp.abs(cells - centre) <= cells_apart, 0.0, left[row])
+            return left.at[row].set(rest), row_max.at[row].set(rest.max())
+
+        carry = jax.lax.fori_loop(-rows_apart, rows_apart + 1, silence, (left, row_max))
+        return carry, (i, j, value)
+
+    start = (smoothed, smoothed.max(axis=1))
+    _, (i, j, value) = jax.lax.scan(pick, start, None, length=sizes.lines)
+    reach = max(3 * sizes.smooth, 1)
+
+    def refine(i: Array, j: Array) -> tuple[Array, Array]:
+        rho, theta = centre_of(i, j, grid, sizes, dtype)
+        offset = jnp.arange(-reach, reach + 1, dtype=jnp.int32)
+        row, column = j + offset[:, None], i + offset[None, :]
+        turned = (row < 0) | (row >= sizes.theta)
+        row = jnp.where(turned, row - jnp.sign(row) * sizes.theta, row)
+        column = jnp.where(turned, sizes.rho - 1 - column, column)
+        near = accumulator.at[row, column].get(mode="fill", fill_value=0)
+        near = jnp.where((column >= 0) & (column < sizes.rho), near, 0.0)
+        shift = lambda d: safe_divide((near * d).sum(), near.sum())
+        d = offset.astype(dtype)
+        return wrap_line(rho + shift(d[None, :] * rho_step), theta + shift(d[:, None] * theta_step))
+
+    return _lines(*jax.vmap(refine)(i, j), value, value > 0, grid, peaks)
+
+
+def smooth(accumulator: Array, *, sizes: Sizes) -> Array:
+    """Smooth an accumulator by the separable Gaussian of `sizes.smooth` cells, over the seam."""
+    reach = 3 * sizes.smooth
+    profile = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * sizes.smooth**2))
+    profile /= profile.sum()
+    seam = jnp.concatenate(
+        [accumulator[-reach:, ::-1], accumulator, accumulator[:reach, ::-1]], axis=0
+    )
+    rows = sum(float(g) * seam[k : k + sizes.theta] for k, g in enumerate(profile))
+    wide = jnp.pad(rows, ((0, 0), (reach, reach)))
+    return sum(float(g) * wide[:, k : k + sizes.rho] for k, g in enumerate(profile))  # type: ignore[return-value]
+
+
+def members(lines: Lines, scans: Scan, member_m: Array) -> Array:
+    """Return which detections lie within `member_m` of each line, [M, K, N].
+
+    Example:
+        >>> lines = Lines(jnp.array([5.0]), jnp.array([0.0]), jnp.ones(1), jnp.ones(1, bool))
+        >>> scans = Scan(jnp.zeros(1), jnp.ones(1, bool), jnp.array([[[4.0, 9.0], [9.0, 9.0]]]),
+        ...              jnp.ones((1, 2), bool))
+        >>> print(members(lines, scans, 2.0))
+        [[[ True False]]]
+    """
+    counts = scans.mask & scans.valid[:, None]
+    position = jnp.where(counts[..., None], scans.position_m, 0.0)
+    distance = jax.vmap(lambda rho, theta: point_line_distance(rho, theta, position))(
+        lines.rho_m, lines.theta_rad
+    )
+    return (jnp.abs(distance) <= member_m) & counts[None] & lines.mask[:, None, None]
+
+
+def inform(
+    lines: Lines, scans: Scan, peaks: Peaks, overflow: Array, votes: Votes | None
+) -> HoughInfo:
+    """Assemble what every method reports beside its lines."""
+    strongest = jnp.maximum(lines.votes[0], jnp.finfo(lines.votes.dtype).tiny)
+    belong = members(lines, scans, jnp.asarray(peaks.member_m, lines.rho_m.dtype))
+    return HoughInfo(lines.votes / strongest, belong, overflow, votes)
+
+
+def _separate(d_rho: Array, d_theta: Array, peaks: Peaks) -> Array:
+    near = jnp.abs(d_rho) <= jnp.asarray(peaks.separation_rho_m, d_rho.dtype)
+    return ~(near & (jnp.abs(d_theta) <= jnp.asarray(peaks.separation_theta_rad, d_rho.dtype)))
+
+
+def _lines(rho: Array, theta: Array, value: Array, found: Array, grid: Grid, peaks: Peaks) -> Lines:
+    """Measure ρ from (0, 0) again, and mask out what is no peak."""
+    origin = jnp.asarray(grid.origin_m, rho.dtype)
+    rho = rho + origin[0] * jnp.cos(theta) + origin[1] * jnp.sin(theta)
+    keep = found & (value >= jnp.asarray(peaks.gate, value.dtype))
+    clear = lambda x: jnp.where(keep, x, 0.0)
+    return Lines(clear(rho), clear(theta), clear(value), keep)

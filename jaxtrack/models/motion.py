@@ -1,0 +1,36 @@
+"""Constant-velocity motion of a state [x, y, vx, vy]."""
+
+import jax.numpy as jnp
+
+from jaxtrack.types import Array
+
+
+def propagate(state: Array, dt_s: Array) -> Array:
+    """Move constant-velocity states by a time step: p + v·Δt, v.
+
+    Args:
+        state: [..., 4] x, y, vx, vy in m and m/s.
+        dt_s: scalar, or broadcastable against the leading axes; may be negative.
+
+    Example:
+        >>> print(propagate(jnp.array([0.0, 0.0, 2.0, -1.0]), 3.0))
+        [ 6. -3.  2. -1.]
+    """
+    dt = jnp.asarray(dt_s, state.dtype)[..., None]
+    return jnp.concatenate([state[..., :2] + state[..., 2:] * dt, state[..., 2:]], axis=-1)
+
+
+def transition_matrix(dt_s: Array) -> Array:
+    """Return the transition matrix F of `propagate`, [4, 4].
+
+        F = [[I, Δt·I], [0, I]]
+
+    Example:
+        >>> print(transition_matrix(jnp.asarray(2.0))[0])
+        [1. 0. 2. 0.]
+
+    Source: equation 33 of the neutrosophic Hough transform (2018), in the order x, y, vx, vy.
+    """
+    dt = jnp.asarray(dt_s)
+    eye = jnp.eye(4, dtype=dt.dtype)
+    return eye + dt * jnp.eye(4, k=2, dtype=dt.dtype)

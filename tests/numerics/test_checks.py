@@ -1,0 +1,81 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxtrack.numerics import check_array, check_choice, check_size
+
+
+@pytest.mark.parametrize(
+    "value",
+    [jnp.zeros((4, 2)), np.zeros((4, 2), dtype=np.int64), np.ones((1, 2), bool)],
+)
+def test_real_arrays_of_the_wanted_shape_pass(value):
+    check_array("points_m", value, shape=("N", 2))
+
+
+def test_any_shape_passes_where_none_is_wanted():
+    check_array("weight", 1.0)
+    check_array("weight", jnp.zeros((2, 3, 4)))
+    check_array("weight", 1.0, shape=())
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (jnp.zeros((4, 3)), r"points_m: got shape \[4, 3\], want \[N, 2\]"),
+        (jnp.zeros(2), r"points_m: got shape \[2\], want \[N, 2\]"),
+        (1.0, r"points_m: got shape \[\], want \[N, 2\]"),
+    ],
+)
+def test_a_wrong_shape_is_told_with_what_is_wanted(value, message):
+    with pytest.raises(ValueError, match=message):
+        check_array("points_m", value, shape=("N", 2))
+
+
+@pytest.mark.parametrize(
+    "value", ["a word", [0.0, 1.0], np.array([1j]), jax.random.key(0), np.array(["a"]), object()]
+)
+def test_what_is_no_array_of_real_numbers_is_a_type_error(value):
+    with pytest.raises(TypeError, match="points_m: got"):
+        check_array("points_m", value)
+
+
+def test_arrays_are_checked_while_tracing():
+    @jax.jit
+    def function(x):
+        check_array("x", x, shape=(3,))
+        return x
+
+    function(jnp.zeros(3))
+    with pytest.raises(ValueError, match=r"x: got shape \[2\], want \[3\]"):
+        function(jnp.zeros(2))
+
+
+@pytest.mark.parametrize("value", [1, 8, np.int64(3)])
+def test_sizes_come_back_as_python_ints(value):
+    size = check_size("max_lines", value)
+    assert size == value
+    assert type(size) is int
+
+
+def test_a_size_may_be_allowed_to_be_zero():
+    assert check_size("max_lines", 0, at_least=0) == 0
+
+
+@pytest.mark.parametrize("value", [0, -1])
+def test_too_small_a_size(value):
+    with pytest.raises(ValueError, match=f"max_lines: got {value}, want an int ≥ 1"):
+        check_size("max_lines", value)
+
+
+@pytest.mark.parametrize("value", [2.0, "2", None, True])
+def test_no_integer_is_no_size(value):
+    with pytest.raises(TypeError, match="max_lines: got"):
+        check_size("max_lines", value)
+
+
+def test_choices():
+    assert check_choice("landing", "spread", ("own_cell", "spread")) == "spread"
+    with pytest.raises(ValueError, match="landing: got 'near', want one of own_cell, spread"):
+        check_choice("landing", "near", ("own_cell", "spread"))
