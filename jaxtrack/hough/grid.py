@@ -61,6 +61,8 @@ def cell_of(rho_m: Array, theta_rad: Array, grid: Grid, sizes: Sizes) -> tuple[A
     rho_step, theta_step = steps(grid, sizes, rho_m.dtype)
     i = jnp.floor((rho_m + jnp.asarray(grid.rho_max_m, rho_m.dtype)) / rho_step)
     j = jnp.floor(theta_rad / theta_step)
+    # The largest θ below π may be rounded up to the edge of the last cell, out of the grid.
+    j = jnp.where(theta_rad < jnp.pi, jnp.minimum(j, float(sizes.theta - 1)), j)
     inside = (i >= 0) & (i < sizes.rho) & (j >= 0) & (j < sizes.theta)
     clean = jnp.where(inside, i, 0.0), jnp.where(inside, j, 0.0)
     return clean[0].astype(jnp.int32), clean[1].astype(jnp.int32), inside

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxtrack.models.line import line_covariance, line_through
+from jaxtrack.numerics.checks import check_size
 from jaxtrack.types import Array, Scan
 
 
@@ -53,13 +54,16 @@ def candidate_pairs(scans: Scan, origin_m: Array, speed: SpeedGate | None, *, pa
         v_min ≤ |z_{k,j} − z_{k−1,i}| / (t_j − t_i) ≤ v_max
 
     Args:
-        scans: K looks stacked.
+        scans: K ≥ 2 looks stacked; a detection of weight 0 counts as none.
         origin_m: [2] the point that ρ is measured from.
         speed: admissible speeds, or None for all pairs.
         pairs: size of the table, pairs an interval.
 
     Returns:
         The table; `overflow` says that an interval had more pairs than fit.
+
+    Raises:
+        ValueError: fewer than two looks.
 
     Example:
         >>> scans = Scan(jnp.array([0.0, 1.0]), jnp.ones(2, bool),
@@ -70,22 +74,15 @@ def candidate_pairs(scans: Scan, origin_m: Array, speed: SpeedGate | None, *, pa
 
     Source: neutrosophic Hough transform (2018), equations 4 and 20–22.
     """
+    check_size("number of looks", scans.mask.shape[0], at_least=2)
     counts = scans.mask & scans.valid[:, None]
     position = jnp.where(counts[..., None], scans.position_m, 0.0)
-    dtype = position.dtype
     time = detection_times(scans)
     weight = jnp.ones_like(time) if scans.weight is None else jnp.where(counts, scans.weight, 0.0)
+    counts = counts & (weight > 0)
 
-    # [K-1, second, first]: comparisons are made on squares, so nothing is divided or rooted here.
-    displacement = position[1:, :, None] - position[:-1, None, :]
-    squared = (displacement**2).sum(-1)
-    dt = time[1:, :, None] - time[:-1, None, :]
-    mask = counts[1:, :, None] & counts[:-1, None, :] & (dt > 0) & (squared > 0)
-    if speed is not None:
-        slowest = jnp.asarray(speed.v_min_m_s, dtype) * dt
-        fastest = jnp.asarray(speed.v_max_m_s, dtype) * dt
-        mask = mask & (squared >= slowest**2) & (squared <= fastest**2)
-
+    earlier = np.arange(scans.mask.shape[0] - 1)
+    mask = _admissible(position, time, counts, earlier, earlier + 1, speed)
     flat, start, count, overflow = jax.vmap(lambda m: _pack(m, pairs))(mask)
     packed = jnp.arange(pairs)[None, :] < count.sum(-1)[:, None]
     second, first = flat // mask.shape[2], flat % mask.shape[2]
@@ -110,9 +107,74 @@ def candidate_pairs(scans: Scan, origin_m: Array, speed: SpeedGate | None, *, pa
     )
 
 
+def distant_pairs(
+    scans: Scan, speed: SpeedGate, *, gap: int, hypotheses: int
+) -> tuple[Array, Array, Array]:
+    """Return the constant-velocity trajectories through two detections at least `gap` looks apart.
+
+    Args:
+        scans: K looks stacked.
+        speed: admissible speeds.
+        gap: least distance in looks, static.
+        hypotheses: size of the table, static.
+
+    Returns:
+        States [H, 4] at the time of the last look, a mask [H], and whether some did not fit.
+
+    Example:
+        >>> scans = Scan(jnp.array([0.0, 1.0]), jnp.ones(2, bool),
+        ...              jnp.array([[[0.0, 0.0]], [[0.0, 200.0]]]), jnp.ones((2, 1), bool))
+        >>> states, mask, overflow = distant_pairs(scans, SpeedGate(), gap=1, hypotheses=2)
+        >>> print(states[0], mask)
+        [  0. 200.   0. 200.] [ True False]
+    """
+    looks, n = scans.mask.shape
+    couples = [(k, k + g) for g in range(gap, looks) for k in range(looks - g)]
+    early = np.array([k for k, _ in couples], np.int32)
+    late = np.array([k for _, k in couples], np.int32)
+    counts = scans.mask & scans.valid[:, None]
+    position = jnp.where(counts[..., None], scans.position_m, 0.0)
+    time = detection_times(scans)
+    admissible = _admissible(position, time, counts, early, late, speed)
+    flat, _, count, overflow = _pack(admissible.reshape(-1, n), hypotheses)
+    row, first = flat // n, flat % n
+    couple, second = row // n, row % n
+    k, m = jnp.asarray(early)[couple], jnp.asarray(late)[couple]
+    mask = jnp.arange(hypotheses) < count.sum()
+    dt = jnp.where(mask, time[m, second] - time[k, first], 1.0)[:, None]
+    velocity = (position[m, second] - position[k, first]) / dt
+    ahead = (scans.time_s[-1] - time[m, second])[:, None]
+    states = jnp.concatenate([position[m, second] + velocity * ahead, velocity], axis=-1)
+    return jnp.where(mask[:, None], states, 0.0), mask, overflow
+
+
 def pair_covariances(pairs: Pairs, origin_m: Array, sigma_m: Array) -> tuple[Array, Array, Array]:
     """Return var ρ, cov(ρ, θ) and var θ of every pair's line, each [K-1, P]."""
     return line_covariance(pairs.first_m, pairs.second_m, origin_m, sigma_m)
+
+
+def _admissible(
+    position: Array,
+    time: Array,
+    counts: Array,
+    early: np.ndarray,
+    late: np.ndarray,
+    speed: SpeedGate | None,
+) -> Array:
+    """Return which pairs of detections a target could have caused, [couples, second, first].
+
+    Comparisons are made on squares, so nothing is divided or rooted for all pairs.
+    """
+    squared = sum(
+        (position[late, :, None, axis] - position[early, None, :, axis]) ** 2 for axis in (0, 1)
+    )
+    dt = time[late, :, None] - time[early, None, :]
+    mask = counts[late, :, None] & counts[early, None, :] & (dt > 0) & (squared > 0)
+    if speed is None:
+        return mask
+    slowest = jnp.asarray(speed.v_min_m_s, dt.dtype) * dt
+    fastest = jnp.asarray(speed.v_max_m_s, dt.dtype) * dt
+    return mask & (squared >= slowest**2) & (squared <= fastest**2)
 
 
 def _pack(mask: Array, size: int) -> tuple[Array, Array, Array, Array]:

@@ -99,11 +99,12 @@ def soft(
 
         C(p) = Σ_q w_q ∏_{x ∈ (ρ, θ)} [Φ((hi_x − x_q)/ε_x) − Φ((lo_x − x_q)/ε_x)]
 
-    Differentiable in the votes and the tolerances; tends to `hard` as both tolerances vanish.
+    Differentiable in the votes and the tolerances; tends to the raw `hard` (`sizes.smooth` 0) as
+    both tolerances vanish.
 
     Args:
         grid: where the cells lie.
-        sizes: how many there are.
+        sizes: how many there are; `smooth` is not used.
         eps_rho_m: [] standard deviation of a vote along ρ, metres.
         eps_theta_rad: [] along θ, radians.
         dtype: of the votes.
@@ -117,18 +118,16 @@ def soft(
     """
     rho_step, theta_step = steps(grid, sizes, dtype)
 
-    def similarity(rho: Array, theta: Array, votes: Votes) -> Array:
+    def block_mass(rho: Array, theta: Array, votes: Votes, cells: float) -> Array:
         i, j, inside = cell_of(rho, theta, grid, sizes)
         centre = centre_of(i, j, grid, sizes, dtype)
         d_rho, d_theta = line_difference(*centre, votes.rho_m, votes.theta_rad)
-        mass = interval_mass(d_rho, rho_step, eps_rho_m)
-        mass = mass * interval_mass(d_theta, theta_step, eps_theta_rad)
+        mass = interval_mass(d_rho, cells * rho_step, eps_rho_m)
+        mass = mass * interval_mass(d_theta, cells * theta_step, eps_theta_rad)
         return jnp.where(inside, mass, 0.0)
 
-    def nearby(rho: Array, theta: Array, votes: Votes) -> Array:
-        d_rho, d_theta = line_difference(rho, theta, votes.rho_m, votes.theta_rad)
-        return _gaussian(d_rho, rho_step + eps_rho_m, d_theta, theta_step + eps_theta_rad)
-
+    similarity: Callable[..., Array] = lambda *at: block_mass(*at, cells=1.0)
+    nearby: Callable[..., Array] = lambda *at: block_mass(*at, cells=3.0)
     return VoteKernel(similarity, nearby, rho_step + 3 * eps_rho_m, theta_step + 3 * eps_theta_rad)
 
 
@@ -220,7 +219,7 @@ def upper_bound(rho_m: Array, theta_rad: Array, votes: Votes, kernel: VoteKernel
 
     def block(rho: Array, theta: Array) -> tuple[Array, Array]:
         column = jnp.clip(jnp.floor(rho / kernel.reach_rho_m), -(1 << 24), 1 << 24)
-        row = jnp.floor(theta * (rows / half_turn))
+        row = jnp.minimum(jnp.floor(theta * (rows / half_turn)), rows - 1)
         return column.astype(jnp.int32), row.astype(jnp.int32)
 
     def slot(column: Array, row: Array) -> Array:

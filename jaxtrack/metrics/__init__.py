@@ -13,7 +13,7 @@ from jaxtrack.metrics.initiation import (
     divergence,
     initiation_scores,
 )
-from jaxtrack.metrics.lines import least_squares_line, line_difference, line_distance
+from jaxtrack.metrics.lines import least_squares_line, line_distance
 from jaxtrack.metrics.ospa import Ospa, ospa
 
 __all__ = [
@@ -26,7 +26,6 @@ __all__ = [
     "gospa",
     "initiation_scores",
     "least_squares_line",
-    "line_difference",
     "line_distance",
     "ospa",
 ]

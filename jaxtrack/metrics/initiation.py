@@ -5,7 +5,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxtrack.metrics.lines import least_squares_line, line_difference, line_distance
+from jaxtrack.metrics.lines import least_squares_line, line_distance
+from jaxtrack.models.line import line_difference
 from jaxtrack.numerics.checks import check_array, check_size
 from jaxtrack.numerics.masked import masked_max, masked_min, masked_sum
 from jaxtrack.numerics.safe import safe_divide, safe_sqrt
@@ -118,11 +119,13 @@ def initiation_scores(
     strength = jnp.where(matches, votes[:, None], -jnp.inf)
     own = jnp.lexsort((distance_m, -strength), axis=0)[0]  # [K]
     own_votes = jnp.where(jnp.any(matches, axis=0), votes[own], 0.0)
-    rho_error_m, theta_error_rad = line_difference(
+    # From the true line, so that the error in ρ has the sign of the true line's name.
+    to_truth = line_difference(
+        *jax.vmap(least_squares_line)(position_m),
         jnp.where(found_mask, lines.rho_m[own], 0.0),
         jnp.where(found_mask, lines.theta_rad[own], 0.0),
-        *jax.vmap(least_squares_line)(position_m),
     )
+    rho_error_m, theta_error_rad = -to_truth[0], -to_truth[1]
 
     weakest_true_votes = masked_min(own_votes, present)
     strongest_false_votes = masked_max(votes, is_false)

@@ -1,7 +1,4 @@
-"""Geometry of lines ρ = x cos θ + y sin θ: distance to points, fit to points, difference of two.
-
-(ρ, θ) and (−ρ, θ ± π) are the same line; whatever compares lines here knows that.
-"""
+"""How far trajectories are from lines ρ = x cos θ + y sin θ, and which line fits them best."""
 
 import jax.numpy as jnp
 
@@ -74,30 +71,3 @@ def least_squares_line(position_m: Array) -> tuple[Array, Array]:
     theta_rad = course_rad + jnp.pi / 2
     theta_rad = jnp.where(theta_rad < jnp.pi, theta_rad, theta_rad - jnp.pi)
     return centre_m[0] * jnp.cos(theta_rad) + centre_m[1] * jnp.sin(theta_rad), theta_rad
-
-
-def line_difference(
-    rho_m: Array, theta_rad: Array, from_rho_m: Array, from_theta_rad: Array
-) -> tuple[Array, Array]:
-    """Subtract one line from another, in the writing of the first that lies closest in angle.
-
-    With k = round((θ − θ₀) / π):   Δθ = θ − θ₀ − k π,   Δρ = (−1)^k ρ − ρ₀
-
-    Args:
-        rho_m: ρ of the lines, any shape.
-        theta_rad: their θ.
-        from_rho_m: ρ₀ of the lines to subtract.
-        from_theta_rad: their θ₀.
-
-    Returns:
-        Δρ in metres and Δθ in [−π/2, π/2] radians.
-
-    Example:
-        >>> rho_m, theta_rad = line_difference(*jnp.asarray([-50.0, 3.1, 51.0, 0.0]))
-        >>> round(float(rho_m), 3), round(float(theta_rad), 3)
-        (-1.0, -0.042)
-    """
-    half_turns = jnp.round((theta_rad - from_theta_rad) / jnp.pi)
-    turned = jnp.mod(half_turns, 2.0) == 1.0
-    difference_rad = theta_rad - from_theta_rad - half_turns * jnp.pi
-    return jnp.where(turned, -rho_m, rho_m) - from_rho_m, difference_rad

@@ -9,12 +9,17 @@ from jaxtrack.models.line import (
 )
 from jaxtrack.models.motion import propagate, transition_matrix
 from jaxtrack.models.observation import (
+    POSITION,
+    Observation,
     PositionSensor,
     position_log_likelihood_ratio,
     position_responsibility,
+    position_scores,
 )
 
 __all__ = [
+    "POSITION",
+    "Observation",
     "PositionSensor",
     "line_covariance",
     "line_difference",
@@ -22,6 +27,7 @@ __all__ = [
     "point_line_distance",
     "position_log_likelihood_ratio",
     "position_responsibility",
+    "position_scores",
     "propagate",
     "transition_matrix",
     "wrap_line",

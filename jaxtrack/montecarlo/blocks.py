@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
@@ -109,7 +110,7 @@ def _gather(target: np.ndarray, leaf: jax.Array) -> None:
 
 @functools.lru_cache(maxsize=64)
 def _block_program(
-    plan: Plan, devices: tuple[jax.Device, ...]
+    plan: Plan, devices: tuple[Any, ...]
 ) -> tuple[Callable[..., Any], NamedSharding]:
     """Build the program of one block, `(key, params, [first, last] micro-batch) -> rows`.
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 
 import jax
+import jax.core
 import jax.numpy as jnp
 
 from jaxtrack.montecarlo.blocks import Plan, check_outputs, run_in_blocks, run_micro_batch
@@ -117,7 +118,8 @@ def monte_carlo(
     wanted = (slice(None),) * axis + (slice(skipped, skipped + trials),)
 
     def cut(leaf: Any) -> Any:  # [(P,) batches, micro_batch, ...] -> [(P,) trials, ...]
-        return leaf.reshape(*leaf.shape[:axis], -1, *leaf.shape[axis + 2 :])[wanted]
+        flat = (*leaf.shape[:axis], len(batches) * micro_batch, *leaf.shape[axis + 2 :])
+        return leaf.reshape(flat)[wanted]
 
     leaves, structure = jax.tree.flatten(jax.tree.map(cut, rows))
     moments = [mean_and_error(leaf, axis=axis) for leaf in leaves]

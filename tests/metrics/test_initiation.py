@@ -15,7 +15,6 @@ from jaxtrack.metrics import (
     divergence,
     initiation_scores,
     least_squares_line,
-    line_difference,
     line_distance,
 )
 from jaxtrack.types import Lines
@@ -318,13 +317,6 @@ def test_least_squares_line_gradient_agrees_with_central_differences():
         return rho_m + 2.0 * theta_rad
 
     assert_gradients_agree(loss, points_m)
-
-
-@pytest.mark.parametrize("turn", [-1, 0, 1])
-def test_line_difference_knows_the_two_writings(turn):
-    rho_m, theta_rad = (-1.0) ** turn * 12.0, 0.4 + turn * np.pi
-    difference = line_difference(*jnp.asarray([rho_m, theta_rad, 10.0, 0.1]))
-    np.testing.assert_allclose(difference, [2.0, 0.3], rtol=1e-12)
 
 
 def test_divergence():

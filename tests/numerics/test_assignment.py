@@ -12,7 +12,7 @@ from tests.oracles.assignment import least_cost_matching
 JITTED = jax.jit(assign)
 
 
-def check(cost, row_mask, column_mask, rtol=1e-12):
+def check(cost, row_mask, column_mask):
     """Compare with brute force, and the parts of the result with each other."""
     found = JITTED(cost, row_mask, column_mask)
     columns, matched = np.asarray(found.columns), np.asarray(found.matched)
@@ -25,6 +25,7 @@ def check(cost, row_mask, column_mask, rtol=1e-12):
     assert len(set(columns[matched])) == pairs
     rows = np.flatnonzero(matched)
     assert allowed[rows, columns[rows]].all()
+    rtol = 32 * np.finfo(found.cost.dtype).eps
     scale = np.max(np.abs(np.where(allowed, cost, 0.0)), initial=0.0)
     chosen = cost[rows, columns[rows]].astype(np.float64).sum()
     np.testing.assert_allclose(chosen, total, rtol=rtol, atol=rtol * scale)
@@ -65,15 +66,15 @@ def test_padding_takes_no_digits_from_the_costs(scale, offset, dtype):
     for _ in range(10):
         cost = ((rng.random((4, 5)) + offset) * scale).astype(dtype)
         row_mask, column_mask = rng.random(4) < 0.7, rng.random(5) < 0.7
-        check(cost, row_mask, column_mask, rtol=8 * np.finfo(dtype).eps)
+        check(cost, row_mask, column_mask)
 
 
 def test_costs_near_the_largest_number_do_not_overflow():
     largest = np.finfo(np.float32).max
     cost = np.array([[largest, 1.0, 2.0], [largest, largest, 1.0]], dtype=np.float32)
-    found = check(cost, np.array([True, True]), np.array([True, True, True]), rtol=1e-6)
+    found = check(cost, np.array([True, True]), np.array([True, True, True]))
     assert found.columns.tolist() == [1, 2]
-    check(-cost / 4, np.array([True, True]), np.array([True, False, True]), rtol=1e-6)
+    check(-cost / 4, np.array([True, True]), np.array([True, False, True]))
 
 
 @pytest.mark.parametrize("shape", [(4, 4), (3, 6), (6, 3)])
@@ -114,7 +115,7 @@ def test_masked_entries_may_hold_anything():
     column_mask = np.array([True, True, False, True, False])
     total = jax.jit(jax.value_and_grad(lambda c: assign(c, row_mask, column_mask).cost))
     clean = total(cost)
-    for rubbish in (np.nan, np.inf, -np.inf, 1e300, -1e300):
+    for rubbish in (np.nan, np.inf, -np.inf, 1e30, -1e30):
         dirty = np.where(row_mask[:, None] & column_mask[None, :], cost, rubbish)
         value, gradient = total(dirty)
         assert value == clean[0]
@@ -123,10 +124,10 @@ def test_masked_entries_may_hold_anything():
 
 def test_forbidden_pairs_give_way_to_the_larger_matching():
     # Row 0 may take column 0 alone: row 1 must leave its cheap column 0 for the dear column 1.
-    cost = np.array([[5.0, np.inf], [-100.0, 900.0]])
+    cost = np.array([[900.0, np.inf], [-900.0, 900.0]])
     found = check(cost, np.array([True, True]), np.array([True, True]))
     assert found.columns.tolist() == [0, 1]
-    assert float(found.cost) == 905.0
+    assert float(found.cost) == 1800.0
 
 
 def test_gradient_is_one_at_the_matched_pairs():

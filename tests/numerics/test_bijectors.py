@@ -9,7 +9,7 @@ SCALARS = {
     "identity": (numerics.identity(), [-3.0, 0.0, 7.5]),
     "positive": (numerics.positive(), [1e-12, 0.3, 1.0, 40.0, 1e12]),
     "bounded": (numerics.bounded(-2.0, 5.0), [-1.999, 0.0, 1.5, 4.999]),
-    "bounded by arrays": (numerics.bounded(jnp.float64(0.0), jnp.float64(1.0)), [1e-9, 0.5, 0.999]),
+    "bounded by arrays": (numerics.bounded(jnp.array(0.0), jnp.array(1.0)), [1e-9, 0.5, 0.999]),
 }
 EXTREME = [-1e300, -1e4, -800.0, -40.0, 0.0, 40.0, 800.0, 1e4, 1e300]
 

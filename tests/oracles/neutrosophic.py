@@ -116,6 +116,9 @@ def votes(
     return cast
 
 
-def spread_scales(p, members, eps_rho, eps_theta, scale):
-    """Return S [Q, 2, 2] at which the spread votes of `members` are read at p: equation 27."""
-    return np.array([scale_between(p, q, eps_rho, eps_theta, scale) for q in members])
+def spread_scales(members, eps_rho, eps_theta, scale):
+    """Return S [Q, 2, 2] of the spread votes of `members`, each in its own representation."""
+    assert scale in ("tolerance", "covariance"), scale
+    if scale == "covariance":
+        return np.array([q.covariance for q in members])
+    return np.array([lines.tolerance_scale(eps_rho, eps_theta) for _ in members])

@@ -47,6 +47,7 @@ def candidate_pairs(scan, v_min=None, v_max=None):
     """Return all pairs of consecutive looks (equations 4, 22), within the speeds of equation 20.
 
     Their order is the interval k, then the second detection j, then the first detection i.
+    A detection of weight 0 counts as none.
     """
     found = []
     for k in range(1, len(scan.time_s)):
@@ -62,6 +63,8 @@ def candidate_pairs(scan, v_min=None, v_max=None):
                 if v_max is not None and speed > v_max:
                     continue
                 weight = a.weight * b.weight
+                if weight == 0.0:
+                    continue
                 pair = Pair(k, a.index, b.index, a.position, b.position, a.time, b.time, weight)
                 found.append(pair)
     return found

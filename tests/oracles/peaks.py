@@ -91,7 +91,7 @@ def refine_mean_shift(peak, votes, scale):
     sum_rho, sum_theta = 0.0, 0.0
     for vote, one in zip(votes, np.broadcast_to(scale, (len(votes), 2, 2)), strict=True):
         d_rho, d_theta = lines.difference(rho_p, theta_p, vote[0], vote[1])
-        weight = vote[2] * lines.gaussian(d_rho, d_theta, one)
+        weight = gaussian_value((rho_p, theta_p), [vote], one)
         # p − Δ is the vote, or its twin, next to the peak.
         sum_rho += weight * (rho_p - d_rho)
         sum_theta += weight * (theta_p - d_theta)

@@ -111,11 +111,14 @@ def soft_value(query, votes, grid, eps_rho, eps_theta):
 
 
 def gaussian_value(query, votes, scale):
-    """Return Σ w exp(−½ Δᵀ S⁻¹ Δ): equation 15; `scale` is S [2, 2], or one for each vote."""
+    """Return Σ w exp(−½ Δᵀ S⁻¹ Δ): equation 15; `scale` is S [2, 2], or one for each vote.
+
+    Δ is taken from the vote, in whose representation its S holds.
+    """
     scales = np.broadcast_to(scale, (len(votes), 2, 2))
     total = 0.0
     for (rho, theta, weight), one in zip(votes, scales, strict=True):
-        d_rho, d_theta = lines.difference(query[0], query[1], rho, theta)
+        d_rho, d_theta = lines.difference(rho, theta, query[0], query[1])
         total += weight * lines.gaussian(d_rho, d_theta, one)
     return total
 

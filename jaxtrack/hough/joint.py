@@ -1,0 +1,217 @@
+"""Joint space–time vote: each look adds its log-likelihood ratio instead of a count.
+
+One vote in the four-dimensional space of constant-velocity trajectories,
+
+    L(x) = Σ_k log p(look k | target on x) / p(look k | no target),
+
+the statistic of maximum-likelihood track-before-detect. Candidates come from pairs of detections
+some looks apart; the best of them are refined and the highest is taken; what it explains is taken
+out of the detections' weights, and so on. Then all tracks are refitted together, each seeing what
+the others leave. What the sensor is, only `models.observation` knows.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxtrack.hough.pairs import SpeedGate, distant_pairs
+from jaxtrack.models.line import line_through
+from jaxtrack.models.motion import propagate
+from jaxtrack.models.observation import POSITION, Observation, PositionSensor
+from jaxtrack.numerics.checks import check_size
+from jaxtrack.numerics.safe import safe_divide
+from jaxtrack.types import Array, Key, Lines, Scan, Stage, Tracks
+
+_BLURS = (1.3, 1.3, 1.15, 1.0, 1.0, 1.0)  # widening of the noise, step by step of the refinement
+_REFITS = 4  # rounds of the joint refit
+
+
+class JointParams(NamedTuple):
+    """Parameters of the joint vote. Traced."""
+
+    sensor: PositionSensor
+    speed: SpeedGate = SpeedGate()
+    gate: Array | float = 18.0  # tracks with a lower score (in nats) are masked out
+
+
+class JointSizes(NamedTuple):
+    """Everything that sets an array's shape. Static."""
+
+    tracks: int = 6  # tracks that are looked for
+    hypotheses: int = 32768  # pairs of detections that are scored
+    candidates: int = 256  # the best of them, rescored for every track
+    starts: int = 16  # the best of those, refined for every track
+    gap: int = 3  # the two detections of a pair are at least so many looks apart
+
+
+class JointInfo(NamedTuple):
+    """What people look at."""
+
+    responsibility: Array  # [M, K, N] how far each detection is a track's
+    overflow: Array  # [] not all pairs were scored
+    hypothesis: Array  # [C, 4] the best candidates, at the last look
+    hypothesis_score: Array  # [C] their scores with the noise widened
+
+
+def estimate(
+    scans: Scan,
+    params: JointParams,
+    key: Key | None = None,
+    *,
+    sizes: JointSizes = JointSizes(),  # noqa: B008 - an immutable tuple
+    observation: Observation = POSITION,
+) -> tuple[Tracks, JointInfo]:
+    """Return the tracks of a window, with states at the last look, covariances and scores.
+
+    Args:
+        scans: K looks stacked.
+        params: sensor, admissible speeds and gate.
+        key: not used; part of every window estimator's signature.
+        sizes: static sizes.
+        observation: the sensor's likelihood.
+
+    Returns:
+        Tracks in order of their scores; `covariance` is the inverse of the observed information.
+        The search is not differentiated: gradients are those of the maximum it ends in, by the
+        implicit function theorem.
+
+    Raises:
+        TypeError: a size is not a Python int.
+        ValueError: a size is too small.
+
+    Example:
+        >>> scans = Scan(2.0 * jnp.arange(5.0), jnp.ones(5, bool),
+        ...              jnp.stack([400.0 * jnp.arange(5.0), jnp.full(5, 80.0)], -1)[:, None],
+        ...              jnp.ones((5, 1), bool))
+        >>> sensor = PositionSensor(p_detect=0.99, clutter_per_m2=1e-5, sigma_m=10.0)
+        >>> tracks, info = estimate(scans, JointParams(sensor), sizes=JointSizes(hypotheses=64))
+        >>> print(int(tracks.mask.sum()), abs(tracks.mean[0].round(1)))
+        1 [1600.   80.  200.    0.]
+    """
+    for name, value in zip(JointSizes._fields, sizes, strict=True):
+        check_size(f"sizes.{name}", value)
+    dtype = scans.position_m.dtype
+    sensor = jax.tree.map(lambda x: jnp.asarray(x, dtype), params.sensor)
+    gate = jnp.asarray(params.gate, dtype)
+    counts = scans.mask & scans.valid[:, None]
+    weight = jnp.ones(counts.shape, dtype) if scans.weight is None else scans.weight
+    scans = scans._replace(weight=jnp.where(counts, weight, 0.0))
+    fixed, fixed_sensor = jax.lax.stop_gradient((scans, sensor))
+
+    start, there, overflow = distant_pairs(
+        fixed, params.speed, gap=sizes.gap, hypotheses=sizes.hypotheses
+    )
+    wide = observation.blur(fixed_sensor, _BLURS[0])
+    score = jnp.where(there, observation.scores(start, fixed, wide), -jnp.inf)
+    start_score, best = jax.lax.top_k(score, min(sizes.candidates, score.shape[0]))
+    start, there = start[best], there[best]
+
+    def climb(state: Array, scans: Scan) -> Array:
+        for blur in _BLURS:
+            state = observation.refine(state, scans, observation.blur(fixed_sensor, blur))
+        return state
+
+    def claim(state: Array, weight: Array) -> Array:
+        one = lambda x, scan: observation.responsibility(x, scan, fixed_sensor)
+        return jax.vmap(one)(_along(state, fixed), fixed._replace(weight=weight))
+
+    def pick(left: Array, _: None) -> tuple[Array, tuple[Array, Array]]:
+        rest = fixed._replace(weight=left)
+        score = jnp.where(there, observation.scores(start, rest, wide), -jnp.inf)
+        _, first = jax.lax.top_k(score, min(sizes.starts, score.shape[0]))
+        states = jax.vmap(lambda x: climb(x, rest))(start[first])
+        score = jnp.where(there[first], observation.scores(states, rest, fixed_sensor), -jnp.inf)
+        top = jnp.argmax(score)
+        return left * (1 - claim(states[top], left)), (states[top], score[top])
+
+    _, (states, picked) = jax.lax.scan(pick, fixed.weight, length=sizes.tracks)
+
+    # Only what passes the gate may take detections away from the others.
+    real = (picked >= gate).astype(dtype)[:, None, None]
+
+    def refit(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
+        states, free = carry
+        claims = real * jax.vmap(claim)(states, fixed.weight[None] * free)
+        share = safe_divide(claims**2, claims.sum(0, keepdims=True))
+        free = 1 - (share.sum(0, keepdims=True) - share)
+        refine = lambda x, w: observation.refine(x, fixed._replace(weight=w), fixed_sensor)
+        return (jax.vmap(refine)(states, fixed.weight[None] * free), free), None
+
+    begin = states, jnp.ones((sizes.tracks, *counts.shape), dtype)
+    (states, free), _ = jax.lax.scan(refit, begin, length=_REFITS)
+
+    def finish(state: Array, free: Array) -> tuple[Array, Array, Array]:
+        def total(state: Array, scans: Scan, sensor: PositionSensor) -> Array:
+            seen = scans._replace(weight=scans.weight * free)
+            one = lambda x, scan: observation.log_likelihood_ratio(x, scan, sensor)
+            return jax.vmap(one)(_along(state, scans), seen).sum()
+
+        information = -jax.hessian(total)(state, fixed, fixed_sensor)
+        covariance, definite = _inverse(information)
+        # One Newton step from the fixed end of the search: it carries the maximum's gradient.
+        slope = jax.grad(total)(state, scans, sensor)
+        move = jnp.where(definite, covariance @ slope, 0.0)
+        better = total(state + jax.lax.stop_gradient(move), fixed, fixed_sensor) >= total(
+            state, fixed, fixed_sensor
+        )
+        refined = state + jnp.where(better, move, move - jax.lax.stop_gradient(move))
+        return refined, covariance, total(refined, scans, sensor)
+
+    mean, covariance, score = jax.vmap(finish)(*jax.lax.stop_gradient((states, free)))
+    keep = (score >= gate) & jnp.isfinite(picked)
+    order = jnp.argsort(jnp.where(keep, -score, jnp.inf))
+    mean, covariance, score, keep, free = (x[order] for x in (mean, covariance, score, keep, free))
+    claims = jax.vmap(claim)(jax.lax.stop_gradient(mean), fixed.weight[None] * free)
+    clear = lambda x: jnp.where(keep.reshape(-1, *(1,) * (x.ndim - 1)), x, 0)
+    tracks = Tracks(
+        time_s=scans.time_s[-1],
+        mean=clear(mean),
+        covariance=clear(covariance),
+        mask=keep,
+        identity=jnp.where(keep, jnp.arange(sizes.tracks), -1),
+        stage=jnp.where(keep, Stage.TENTATIVE, Stage.EMPTY),
+        existence=clear(jax.nn.sigmoid(score - gate)),
+        log_score=clear(score),
+    )
+    return tracks, JointInfo(clear(claims), overflow, start, start_score)
+
+
+def lines_of(tracks: Tracks) -> Lines:
+    """Return the lines that tracks move on, with their scores as votes, ρ from (0, 0).
+
+    Example:
+        >>> from jaxtrack.types import Tracks
+        >>> one = jnp.ones(1)
+        >>> tracks = Tracks(one[0], jnp.array([[3.0, 8.0, 1.0, 0.0]]), jnp.eye(4)[None], one > 0,
+        ...                 one, one, one, 20 * one)
+        >>> print(lines_of(tracks).rho_m, lines_of(tracks).votes)
+        [8.] [20.]
+    """
+    position, velocity = tracks.mean[:, :2], tracks.mean[:, 2:4]
+    moves = tracks.mask & (velocity != 0).any(-1)
+    # A target that stands still has no line: it is masked out.
+    along = jnp.where(moves[:, None], velocity, 1.0)
+    rho, theta = line_through(position, position + along, jnp.zeros(2, position.dtype))
+    clear = lambda x: jnp.where(moves, x, 0.0)
+    return Lines(clear(rho), clear(theta), clear(tracks.log_score), moves)
+
+
+def _along(state: Array, scans: Scan) -> Array:
+    """Return a state of the last look at every look, [K, 4]."""
+    dt = scans.time_s - scans.time_s[-1]
+    return propagate(jnp.broadcast_to(state, (dt.shape[0], *state.shape)), dt)
+
+
+def _inverse(information: Array) -> tuple[Array, Array]:
+    """Return the inverse of a positive definite matrix [4, 4], and whether it is one.
+
+    Scaled to a unit diagonal first: positions and velocities differ by orders of magnitude.
+    Directions without information get a large finite variance.
+    """
+    diagonal = jnp.diagonal(information)
+    scale = jax.lax.rsqrt(jnp.where(diagonal > 0, diagonal, 1.0))
+    value, vector = jnp.linalg.eigh(information * scale[:, None] * scale[None, :])
+    floor = jnp.asarray(1e-5, value.dtype)
+    inverse = (vector / jnp.maximum(value, floor)[None, :]) @ vector.T
+    return inverse * scale[:, None] * scale[None, :], (value > floor).all() & (diagonal > 0).all()
