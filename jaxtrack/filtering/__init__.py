@@ -1,1 +1,1 @@
-"""To be described."""
+"""Recursive filters. `rls` smooths initialised tracks."""

@@ -168,8 +168,8 @@ def estimate(
         ...              jnp.array([[[0.0, 8.0]], [[200.0, 8.0]], [[450.0, 8.0]]]),
         ...              jnp.ones((3, 1), bool))
         >>> lines, info = estimate(scans, NeutrosophicParams(), sizes=Sizes(lines=1, pairs=4))
-        >>> print(lines.votes.round(2), lines.rho_m)
-        [1.98] [8.]
+        >>> print(f"{lines.votes[0]:.2f} {lines.rho_m[0]:.1f}")
+        1.98 8.0
 
     Source: neutrosophic Hough transform (2018), section IV.
     """

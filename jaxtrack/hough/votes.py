@@ -113,8 +113,8 @@ def soft(
         >>> sizes = Sizes(rho=100, theta=100)
         >>> votes = Votes(jnp.array([40.0]), jnp.array([0.5]), jnp.ones(1), jnp.ones(1, bool))
         >>> kernel = soft(Grid(), sizes, jnp.array(40.0), jnp.array(1e-4), votes.rho_m.dtype)
-        >>> print(evaluate(jnp.array([1.5]), jnp.array([0.5]), votes, kernel).round(3))
-        [0.683]
+        >>> print(f"{evaluate(jnp.array([1.5]), jnp.array([0.5]), votes, kernel)[0]:.3f}")
+        0.683
     """
     rho_step, theta_step = steps(grid, sizes, dtype)
 
@@ -143,8 +143,8 @@ def gaussian(eps_rho_m: Array, eps_theta_rad: Array) -> VoteKernel:
     Example:
         >>> votes = Votes(jnp.array([40.0]), jnp.array([0.5]), jnp.ones(1), jnp.ones(1, bool))
         >>> kernel = gaussian(jnp.array(40.0), jnp.array(0.1))
-        >>> print(evaluate(jnp.array([0.0]), jnp.array([0.5]), votes, kernel).round(3))
-        [0.607]
+        >>> print(f"{evaluate(jnp.array([0.0]), jnp.array([0.5]), votes, kernel)[0]:.3f}")
+        0.607
 
     Source: neutrosophic Hough transform (2018), equations 15 and 31.
     """

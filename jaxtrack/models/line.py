@@ -42,7 +42,7 @@ def line_through(first_m: Array, second_m: Array, origin_m: Array) -> tuple[Arra
     normal_y = safe_divide(along[..., 0], length)
     flip = (normal_y < 0) | ((normal_y == 0) & (normal_x < 0))
     sign = jnp.where(flip, -1.0, 1.0).astype(length.dtype)
-    theta = safe_arctan2(sign * normal_y, sign * normal_x)
+    theta = safe_arctan2(jnp.abs(normal_y), sign * normal_x)
     offset = first_m - jnp.broadcast_to(origin_m, first_m.shape)
     rho = sign * (normal_x * offset[..., 0] + normal_y * offset[..., 1])
     return wrap_line(rho, theta)  # a normal that points down by less than rounding gives θ = π
@@ -86,10 +86,10 @@ def wrap_line(rho_m: Array, theta_rad: Array) -> tuple[Array, Array]:
         -3.0 2.6416
     """
     half_turn = jnp.asarray(jnp.pi, theta_rad.dtype)
-    outside = (theta_rad < 0) | (theta_rad >= half_turn)
-    shift = jnp.where(theta_rad < 0, half_turn, -half_turn)
-    theta = jnp.where(outside, theta_rad + shift, theta_rad)
-    return jnp.where(outside, -rho_m, rho_m), theta
+    below = theta_rad < 0
+    rho, theta = jnp.where(below, -rho_m, rho_m), jnp.where(below, theta_rad + half_turn, theta_rad)
+    above = theta >= half_turn  # also where a tiny negative θ was rounded up to π
+    return jnp.where(above, -rho, rho), jnp.where(above, theta - half_turn, theta)
 
 
 def point_line_distance(rho_m: Array, theta_rad: Array, position_m: Array) -> Array:

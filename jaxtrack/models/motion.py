@@ -16,7 +16,7 @@ def propagate(state: Array, dt_s: Array) -> Array:
         >>> print(propagate(jnp.array([0.0, 0.0, 2.0, -1.0]), 3.0))
         [ 6. -3.  2. -1.]
     """
-    dt = jnp.asarray(dt_s, state.dtype)[..., None]
+    dt = jnp.broadcast_to(jnp.asarray(dt_s, state.dtype), state.shape[:-1])[..., None]
     return jnp.concatenate([state[..., :2] + state[..., 2:] * dt, state[..., 2:]], axis=-1)
 
 

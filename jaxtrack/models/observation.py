@@ -73,7 +73,7 @@ def position_log_likelihood_ratio(state: Array, scan: Scan, params: PositionSens
     Example:
         >>> scan = Scan(jnp.array(0.0), jnp.array(True), jnp.zeros((1, 2)), jnp.array([True]))
         >>> sensor = PositionSensor(p_detect=0.9, clutter_per_m2=1e-5, sigma_m=10.0)
-        >>> print(position_log_likelihood_ratio(jnp.zeros(4), scan, sensor).round(2))
+        >>> print(f"{position_log_likelihood_ratio(jnp.zeros(4), scan, sensor):.2f}")
         4.97
 
     Source: the statistic of maximum-likelihood track-before-detect; see `docs/design.md`.
@@ -96,8 +96,8 @@ def position_responsibility(state: Array, scan: Scan, params: PositionSensor) ->
     Example:
         >>> scan = Scan(jnp.array(0.0), jnp.array(True), jnp.zeros((1, 2)), jnp.array([True]))
         >>> sensor = PositionSensor(p_detect=0.9, clutter_per_m2=1e-5, sigma_m=10.0)
-        >>> print(position_responsibility(jnp.zeros(4), scan, sensor).round(3))
-        [0.999]
+        >>> print(f"{position_responsibility(jnp.zeros(4), scan, sensor)[0]:.3f}")
+        0.999
     """
     ratio = _ratios(state, scan, params)
     miss = 1 - jnp.asarray(params.p_detect, state.dtype)
@@ -121,8 +121,8 @@ def position_scores(states: Array, scans: Scan, params: PositionSensor) -> Array
         >>> scans = Scan(jnp.zeros(1), jnp.ones(1, bool), jnp.zeros((1, 1, 2)),
         ...              jnp.ones((1, 1), bool))
         >>> sensor = PositionSensor(p_detect=0.9, clutter_per_m2=1e-5, sigma_m=10.0)
-        >>> print(position_scores(jnp.zeros((1, 4)), scans, sensor).round(2))
-        [4.97]
+        >>> print(f"{position_scores(jnp.zeros((1, 4)), scans, sensor)[0]:.2f}")
+        4.97
     """
     miss = 1 - jnp.asarray(params.p_detect, states.dtype)
     columns = states.T
@@ -216,6 +216,7 @@ def _detections(scan: Scan, params: PositionSensor) -> Detection:
     weight = jnp.ones_like(xx) if scan.weight is None else scan.weight
     delay = jnp.zeros_like(xx) if scan.delay_s is None else scan.delay_s
     factor = jnp.asarray(params.p_detect, dtype) / jnp.asarray(params.clutter_per_m2, dtype)
+    weight = jnp.where(counts, weight, 0.0)  # here, or NaN behind the mask meets the gradient
     amplitude = factor * weight / (2 * jnp.pi * jnp.sqrt(determinant))
     return Detection(
         position[:, 0],
@@ -225,7 +226,7 @@ def _detections(scan: Scan, params: PositionSensor) -> Detection:
         xy,
         yy,
         determinant,
-        jnp.where(counts, amplitude, 0.0),
+        amplitude,
     )
 
 

@@ -7,10 +7,10 @@ import numpy as np
 
 def wrap(rho, theta):
     """Return the representation of (ρ, θ) ~ (−ρ, θ ± π) whose θ is in [0, π)."""
-    while theta >= math.pi:
-        rho, theta = -rho, theta - math.pi
     while theta < 0.0:
         rho, theta = -rho, theta + math.pi
+    while theta >= math.pi:  # −1e-20 + π is π
+        rho, theta = -rho, theta - math.pi
     return rho, theta
 
 

@@ -1,5 +1,6 @@
 """What votes (ρ, θ, weight) are worth at a query point: equations 15, 23, 25, 26 and 31."""
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -61,6 +62,7 @@ def hard_value(query, votes, grid):
     return total
 
 
+@functools.cache
 def cell_kernel(k, s):
     """Return g(k), a Gaussian of s cells cut at 3 s cells that sums to 1."""
     if abs(k) > 3 * s:

@@ -1,0 +1,101 @@
+"""Recursive least squares: fits a linear regression one measurement at a time.
+
+    z_k = Bᵀ φ_k + noise;     minimises Σ_k f^{n−k} |z_k − Bᵀ φ_k|² + f^n ‖B − B₀‖² / δ
+
+with f the forgetting factor. It smooths initialised tracks: φ = (1, t − t_ref), z a position.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxtrack.types import Array, Estimator
+
+
+class RlsState(NamedTuple):
+    """What the next measurement needs."""
+
+    coefficients: Array  # [R, D] B
+    inverse: Array  # [R, R] P, the inverse of the regressors' weighted scatter
+
+
+class RlsInput(NamedTuple):
+    """One measurement."""
+
+    regressors: Array  # [R] φ
+    measurement: Array  # [D] z; may hold anything where masked
+    mask: Array  # []
+
+
+def update(
+    state: RlsState, regressors: Array, measurement: Array, forgetting: Array | float = 1.0
+) -> RlsState:
+    """Take one measurement in.
+
+        g = P φ / (f + φᵀ P φ),   B ← B + g (z − Bᵀ φ)ᵀ,   P ← (P − g φᵀ P) / f
+
+    Args:
+        state: coefficients [R, D] and inverse scatter [R, R].
+        regressors: [R] φ.
+        measurement: [D] z.
+        forgetting: [] f in (0, 1]; 1 forgets nothing.
+
+    Example:
+        >>> state = RlsState(jnp.zeros((1, 1)), 1e6 * jnp.eye(1))
+        >>> for z in (4.0, 6.0):
+        ...     state = update(state, jnp.ones(1), jnp.array([z]))
+        >>> print(state.coefficients.round(2))
+        [[5.]]
+    """
+    f = jnp.asarray(forgetting, regressors.dtype)
+    reach = state.inverse @ regressors
+    gain = reach / (f + regressors @ reach)
+    innovation = measurement - state.coefficients.T @ regressors
+    inverse = (state.inverse - gain[:, None] * reach[None, :]) / f
+    # The update keeps P symmetric only up to rounding, which would add up over many steps.
+    return RlsState(
+        state.coefficients + gain[:, None] * innovation[None, :], (inverse + inverse.T) / 2
+    )
+
+
+def rls(
+    *,
+    regressors: int,
+    dimensions: int,
+    forgetting: Array | float = 1.0,
+    initial_variance: Array | float = 1e6,
+) -> Estimator[RlsInput, RlsState, Array]:
+    """Return the recursive least squares filter as an estimator.
+
+    Args:
+        regressors: R, static.
+        dimensions: D, static.
+        forgetting: [] f in (0, 1].
+        initial_variance: [] δ; P starts as δ I and B as zero.
+
+    Returns:
+        An estimator over `RlsInput`, whose info is the fitted measurement Bᵀ φ, [D]. A masked
+        measurement changes nothing.
+
+    Example:
+        >>> filter = rls(regressors=2, dimensions=1)
+        >>> t = jnp.arange(3.0)
+        >>> inputs = RlsInput(jnp.stack([jnp.ones(3), t], -1), 5 + 2 * t[:, None], jnp.ones(3, bool))
+        >>> state, fitted = jax.lax.scan(filter.step, filter.init(jax.random.key(0)), inputs)
+        >>> print(state.coefficients.round(2).ravel())
+        [5. 2.]
+    """  # noqa: E501
+
+    def init(key: Array) -> RlsState:
+        variance = jnp.asarray(initial_variance, jnp.result_type(float))
+        zero = jnp.zeros((regressors, dimensions), variance.dtype)
+        return RlsState(zero, variance * jnp.eye(regressors, dtype=variance.dtype))
+
+    def step(state: RlsState, scan: RlsInput) -> tuple[RlsState, Array]:
+        clean = jnp.where(scan.mask, scan.measurement, 0.0)
+        after = update(state, scan.regressors, clean, forgetting)
+        state = jax.tree.map(lambda new, old: jnp.where(scan.mask, new, old), after, state)
+        return state, state.coefficients.T @ scan.regressors
+
+    return Estimator(init, step)
