@@ -32,7 +32,8 @@ class Pairs(NamedTuple):
     count: Array  # [K-1, N] how many there are
     first_m: Array  # [K-1, P, 2]
     second_m: Array  # [K-1, P, 2]
-    dt_s: Array  # [K-1, P]
+    second_s: Array  # [K-1, P] time of the later detection
+    dt_s: Array  # [K-1, P] what passed since the earlier one
     rho_m: Array  # [K-1, P] measured from the origin given
     theta_rad: Array  # [K-1, P]
     weight: Array  # [K-1, P] product of the detections' weights
@@ -91,6 +92,7 @@ def candidate_pairs(scans: Scan, origin_m: Array, speed: SpeedGate | None, *, pa
     # Free slots get a harmless line, so that no gradient goes through a vanishing length.
     second_m = jnp.where(packed[..., None], second_m, first_m + 1.0)
     rho, theta = line_through(first_m, second_m, origin_m)
+    second_s = jnp.where(packed, take(time[1:], second), 0.0)
     return Pairs(
         first=first,
         second=second,
@@ -98,7 +100,8 @@ def candidate_pairs(scans: Scan, origin_m: Array, speed: SpeedGate | None, *, pa
         count=count,
         first_m=first_m,
         second_m=second_m,
-        dt_s=jnp.where(packed, take(time[1:], second) - take(time[:-1], first), 1.0),
+        second_s=second_s,
+        dt_s=jnp.where(packed, second_s - take(time[:-1], first), 1.0),
         rho_m=rho,
         theta_rad=theta,
         weight=jnp.where(packed, take(weight[:-1], first) * take(weight[1:], second), 0.0),

@@ -102,26 +102,40 @@ def extract_dense(accumulator: Array, grid: Grid, peaks: Peaks, *, sizes: Sizes)
     cells_apart = jnp.minimum(cells_apart, sizes.rho).astype(jnp.int32)
     cells = jnp.arange(sizes.rho, dtype=jnp.int32)
 
-    def pick(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], tuple[Array, ...]]:
-        left, row_max = carry
+    def apart(row: Array, i: Array, j: Array) -> Array:
+        """Return which cells of a row are outside the separation of a peak."""
+        d_j = row - j
+        turned = jnp.abs(d_j) > sizes.theta // 2
+        d_j = jnp.where(turned, d_j - jnp.sign(d_j) * sizes.theta, d_j)
+        centre = jnp.where(turned, sizes.rho - 1 - i, i)
+        return (jnp.abs(d_j) > rows_apart) | (jnp.abs(cells - centre) > cells_apart)
+
+    def left(row: Array, peaks: tuple[Array, Array]) -> Array:
+        """Return a row of the accumulator without what the peaks silence."""
+        free = jax.vmap(lambda i, j: apart(row, i, j))(*peaks)
+        return jnp.where(free.all(0), smoothed[row], 0.0)
+
+    def pick(
+        carry: tuple[Array, tuple[Array, Array]], n: Array
+    ) -> tuple[tuple[Array, tuple[Array, Array]], Array]:
+        # The accumulator is only read: a carry that is written would be copied, all 20 MB of it.
+        row_max, peaks = carry
         j = jnp.argmax(row_max).astype(jnp.int32)
-        i = jnp.argmax(left[j]).astype(jnp.int32)
-        value = left[j, i]
+        value = row_max[j]
+        i = jnp.argmax(left(j, peaks)).astype(jnp.int32)
+        peaks = peaks[0].at[n].set(i), peaks[1].at[n].set(j)
 
-        def silence(d_j: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-            left, row_max = carry
-            row = j + d_j
-            turned = (row < 0) | (row >= sizes.theta)
-            row = jnp.where(turned, row - jnp.sign(d_j) * sizes.theta, row)
-            centre = jnp.where(turned, sizes.rho - 1 - i, i)
-            rest = jnp.where(jnp.abs(cells - centre) <= cells_apart, 0.0, left[row])
-            return left.at[row].set(rest), row_max.at[row].set(rest.max())
+        def silence(d_j: Array, row_max: Array) -> Array:
+            row = (j + d_j) % sizes.theta
+            return row_max.at[row].set(left(row, peaks).max())
 
-        carry = jax.lax.fori_loop(-rows_apart, rows_apart + 1, silence, (left, row_max))
-        return carry, (i, j, value)
+        row_max = jax.lax.fori_loop(-rows_apart, rows_apart + 1, silence, row_max)
+        return (row_max, peaks), value
 
-    start = (smoothed, smoothed.max(axis=1))
-    _, (i, j, value) = jax.lax.scan(pick, start, None, length=sizes.lines)
+    # Rows far outside stand for peaks that are not there yet.
+    nowhere = jnp.zeros(sizes.lines, jnp.int32), jnp.full(sizes.lines, -4 * sizes.theta, jnp.int32)
+    start = (smoothed.max(axis=1), nowhere)
+    (_, (i, j)), value = jax.lax.scan(pick, start, jnp.arange(sizes.lines))
     reach = max(3 * sizes.smooth, 1)
 
     def refine(i: Array, j: Array) -> tuple[Array, Array]:

@@ -153,4 +153,5 @@ def _block_program(
     program = jax.shard_map(
         local, mesh=mesh, in_specs=everywhere, out_specs=by_device, check_vma=False
     )
-    return jax.jit(program), NamedSharding(mesh, everywhere)
+    options = {"xla_disable_hlo_passes": "cpu-parallel-task-assigner"} if devices[0].platform == "cpu" else None
+    return jax.jit(program, compiler_options=options), NamedSharding(mesh, everywhere)

@@ -75,7 +75,8 @@ def from_accumulator(smoothing):
 
     def both(cast, extractor):
         table = accumulate(cast, GRID, sizes=sizes)
-        return table, smooth(table, sizes=sizes), extract_dense(table, GRID, extractor, sizes=sizes)
+        smoothed = smooth(table, sizes=sizes) if smoothing else table
+        return table, smoothed, extract_dense(table, GRID, extractor, sizes=sizes)
 
     return jax.jit(both)
 
@@ -151,7 +152,7 @@ def test_few_candidates_find_the_lines_of_all(name):
     for seed in range(4):
         scan = observe(jax.random.key(seed), scene.truth, scene.radar, detections=48)
         (got, info), (expected, _) = (one(scan) for one in run)
-        assert int(info.votes.mask.sum()) > 4 * some.candidates
+        assert int(info.votes.mask.sum()) > 2 * some.candidates
         assert not info.overflow
         wanted = np.transpose([np.asarray(x) for x in expected[:3]])
         assert_same_lines(got, [line for line, ok in zip(wanted, expected.mask, strict=True) if ok])

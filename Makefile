@@ -1,0 +1,52 @@
+# Everything runs in .venv, made by whatever PYTHON is (PYTHON=python3.13 make test).
+PYTHON ?= python3
+BIN := .venv/bin
+# One stamp a Python and a set of extras; an edit of pyproject.toml installs anew.
+VENV := .venv/.made-by-$(notdir $(PYTHON))
+RUN := $(VENV)-run
+DEV := $(VENV)-dev
+
+.PHONY: reproduce reproduce-full test test-slow lint bench notebooks clean
+
+reproduce: $(RUN) ## the main job: every study, reduced; tables and figures under results/
+	$(BIN)/jaxtrack reproduce
+
+reproduce-full: $(RUN) ## the stated numbers of trials; says beforehand how long it takes
+	$(BIN)/jaxtrack reproduce --full
+
+test: $(DEV) ## everything but the slow tests
+	$(BIN)/python -m pytest -n 2 -m "not slow" tests
+	$(BIN)/python -m pytest -n 2 --doctest-modules jaxtrack
+
+test-slow: $(DEV) ## the long ones: marks on rates, memory
+	$(BIN)/python -m pytest -m slow tests
+
+lint: $(DEV) ## style, types, layers
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+	$(BIN)/lint-imports
+
+bench: $(DEV) ## ours against NumPy and the paper's times
+	$(BIN)/python benchmarks/run.py
+
+notebooks: $(DEV) ## execute every notebook, leaving the files as they are
+	for book in notebooks/*.ipynb; do \
+		$(BIN)/jupyter nbconvert --to notebook --execute --stdout "$$book" > /dev/null || exit 1; \
+	done
+
+clean: ## forget the environment, caches and results
+	rm -rf .venv .jax_cache results
+
+$(VENV): pyproject.toml
+	$(PYTHON) -m venv --clear .venv
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	touch $@
+
+$(RUN): $(VENV)
+	$(BIN)/python -m pip install --quiet -e '.[studies,plots]'
+	touch $@
+
+$(DEV): $(VENV)
+	$(BIN)/python -m pip install --quiet -e '.[studies,plots,test,dev,peers]'
+	touch $@ $(RUN)

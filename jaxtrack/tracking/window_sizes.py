@@ -1,0 +1,124 @@
+"""Static sizes, field and clutter of a recording, counted on the host in NumPy."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxtrack.hough.grid import Sizes
+from jaxtrack.hough.joint import JointSizes
+from jaxtrack.hough.pairs import SpeedGate
+from jaxtrack.types import Scan
+
+MOST_PAIRS = 1 << 16  # of one interval
+MOST_PREDECESSORS = 1 << 10
+MOST_HYPOTHESES = 1 << 17
+MOST_CELLS = 2048  # along ρ
+_CELL_RAD = 1e-3
+_SMOOTH = 2  # cells; raw votes of noisy detections scatter over several cells
+
+
+class Field(NamedTuple):
+    """Where a recording's detections lie, and how many there are."""
+
+    corners_m: tuple[np.ndarray, np.ndarray]  # low and high, each [2]
+    centre_m: np.ndarray  # [2]
+    rho_max_m: float
+    detections_per_look: float
+    clutter_per_m2: float  # the same a square metre
+    most_detections: int  # what a look has to hold
+
+
+def field_of(scans: Scan, sigma_m: float) -> Field:
+    """Return the bounding box of all detections, no narrower than ten sigma, and their density.
+
+    Example:
+        >>> scans = Scan(np.zeros(1), np.ones(1, bool), np.array([[[0.0, 0.0], [200.0, 500.0]]]),
+        ...              np.ones((1, 2), bool))
+        >>> field_of(scans, 10.0).clutter_per_m2
+        2e-05
+    """
+    counts = np.asarray(scans.mask) & np.asarray(scans.valid)[:, None]
+    position_m = np.asarray(scans.position_m, np.float64)[counts]
+    if len(position_m) == 0:
+        position_m = np.zeros((1, 2))
+    low, high = position_m.min(axis=0), position_m.max(axis=0)
+    centre = (low + high) / 2
+    half = np.maximum(high - low, 10.0 * sigma_m) / 2
+    mean = float(counts.sum()) / max(int(np.sum(scans.valid)), 1)
+    # Poisson counts stay below this beyond notice.
+    most = max(counts.shape[1], math.ceil(mean + 5.0 * math.sqrt(mean)) + 1)
+    return Field(
+        corners_m=(centre - half, centre + half),
+        centre_m=centre,
+        rho_max_m=float(np.hypot(*half)),
+        detections_per_look=mean,
+        clutter_per_m2=mean / float(np.prod(2 * half)),
+        most_detections=most,
+    )
+
+
+def choose_sizes(
+    scans: Scan, field: Field, speed: SpeedGate, sigma_m: float, *, method: str, tracks: int
+) -> tuple[Sizes | JointSizes, tuple[str, ...]]:
+    """Return a method's static sizes, and which limits were hit, in sentences.
+
+    Tables hold half as many pairs again as the recording needs, so that scenes like it fit too,
+    and are rounded up to powers of two, so that recordings alike share one compiled program.
+    """
+    looks = int(np.shape(scans.time_s)[0])
+    gate = None if method in ("standard", "modified") else speed
+    if method == "joint":
+        gap = looks // 2
+        couples = [(k, k + g) for g in range(gap, looks) for k in range(looks - g)]
+        pairs = sum(int(_admissible(scans, k, m, gate).sum()) for k, m in couples)
+        hypotheses, notes = _fitting(pairs, 1024, MOST_HYPOTHESES, "pairs of distant looks")
+        return JointSizes(tracks=tracks, hypotheses=hypotheses, gap=gap), notes
+    tables = [_admissible(scans, k, k + 1, gate) for k in range(looks - 1)]
+    pairs, notes = _fitting(
+        max(int(table.sum()) for table in tables), 256, MOST_PAIRS, "pairs of successive looks"
+    )
+    ending = max(int(table.sum(axis=0).max()) for table in tables)
+    predecessors = 1
+    if method == "neutrosophic":
+        predecessors, more = _fitting(ending, 16, MOST_PREDECESSORS, "pairs ending in a detection")
+        notes += more
+    cell_m = max(5.0, sigma_m / 2)
+    rho = math.ceil(2 * field.rho_max_m / cell_m)
+    if rho > MOST_CELLS:
+        rho, wide_m = MOST_CELLS, 2 * field.rho_max_m / MOST_CELLS
+        notes += (f"the field is wide: cells are {wide_m:.0f} m along ρ instead of {cell_m:g} m",)
+    sizes = Sizes(
+        lines=tracks,
+        pairs=pairs,
+        predecessors=predecessors,
+        rho=rho,
+        theta=math.ceil(math.pi / _CELL_RAD),
+        smooth=_SMOOTH,
+    )
+    return sizes, notes
+
+
+def _fitting(needed: int, least: int, most: int, what: str) -> tuple[int, tuple[str, ...]]:
+    size = 1 << (max(needed * 3 // 2, least) - 1).bit_length()
+    if size <= most:
+        return size, ()
+    return most, (f"there are {needed} {what}, of which {most} fit",) if needed > most else ()
+
+
+def _admissible(scans: Scan, early: int, late: int, speed: SpeedGate | None) -> np.ndarray:
+    """Return which pairs of detections of two looks one target could have caused, [N, N]."""
+    counts = np.asarray(scans.mask) & np.asarray(scans.valid)[:, None]
+    position_m = np.asarray(scans.position_m, np.float64)
+    time_s = np.broadcast_to(np.asarray(scans.time_s, np.float64)[:, None], counts.shape)
+    if scans.delay_s is not None:
+        time_s = time_s + np.where(counts, np.asarray(scans.delay_s, np.float64), 0.0)
+    both = counts[early][:, None] & counts[late][None, :]
+    dt = time_s[late][None, :] - time_s[early][:, None]
+    away = np.where(
+        both, np.linalg.norm(position_m[late][None] - position_m[early][:, None], axis=-1), 0.0
+    )
+    both = both & (dt > 0) & (away > 0)
+    if speed is None:
+        return both
+    return both & (away >= speed.v_min_m_s * dt) & (away <= speed.v_max_m_s * dt)
