@@ -1,1 +1,90 @@
-"""Differentiable, batched estimators for tracking many targets in sonar and radar data."""
+"""Differentiable, batched estimators for tracking many targets in sonar and radar data.
+
+    file, simulator ──► Scan ──► votes ──► Lines ──► Tracks ──► scores
+       io, sensors     types          hough         tracking   metrics
+
+    models        how targets move and how they are seen
+    filtering     recursive estimators
+    montecarlo    any of it, for thousands of trials in one compiled program
+    studies       scenes × methods × tables
+    plots         figures of all of it
+
+Every estimator is a pure function of *one* realization. A batch is `jax.vmap` or `monte_carlo`, a
+gradient is `jax.grad`; both go through the whole pipeline. `docs/design.md` tells the rules.
+
+`studies` and `plots` are loaded at first use: they bring the command line's packages and
+matplotlib along, which an estimator does without.
+
+Example:
+    >>> import jax
+    >>> from jaxtrack import hough, models, monte_carlo, sensors
+    >>> scene = sensors.crossing_targets("II")
+    >>> sensor = models.PositionSensor(p_detect=0.99, clutter_per_m2=1e-6, sigma_m=10.0)
+    >>> def tracks_found(key, params):
+    ...     scans = sensors.observe(key, scene.truth, scene.radar, detections=4)
+    ...     sizes = hough.joint.JointSizes(hypotheses=128, candidates=32, starts=4)
+    ...     tracks, info = hough.joint.estimate(scans, params, sizes=sizes)
+    ...     return tracks.mask.sum()
+    >>> run = monte_carlo(tracks_found, jax.random.key(0), 64, hough.joint.JointParams(sensor))
+    >>> print(f"{run.mean:.1f} of 3 targets")
+    3.0 of 3 targets
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from jaxtrack import (
+    filtering,
+    hough,
+    io,
+    metrics,
+    models,
+    montecarlo,
+    numerics,
+    sensors,
+    tracking,
+    types,
+)
+from jaxtrack.montecarlo import MonteCarlo, monte_carlo
+from jaxtrack.types import Estimator, Lines, Pose, Scan, Stage, Tracks, Truth
+
+if TYPE_CHECKING:
+    from jaxtrack import plots, studies
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Estimator",
+    "Lines",
+    "MonteCarlo",
+    "Pose",
+    "Scan",
+    "Stage",
+    "Tracks",
+    "Truth",
+    "filtering",
+    "hough",
+    "io",
+    "metrics",
+    "models",
+    "monte_carlo",
+    "montecarlo",
+    "numerics",
+    "plots",
+    "sensors",
+    "studies",
+    "tracking",
+    "types",
+]
+
+_LAZY = ("plots", "studies")
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY:
+        return importlib.import_module(f"jaxtrack.{name}")
+    raise AttributeError(f"module 'jaxtrack' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*__all__, "__version__"})

@@ -78,7 +78,7 @@ def estimate(
 
     Raises:
         TypeError: a size is not a Python int.
-        ValueError: a size is too small.
+        ValueError: a size is too small, or there are not more than `sizes.gap` looks.
 
     Example:
         >>> scans = Scan(2.0 * jnp.arange(5.0), jnp.ones(5, bool),
@@ -96,7 +96,10 @@ def estimate(
     gate = jnp.asarray(params.gate, dtype)
     counts = scans.mask & scans.valid[:, None]
     weight = jnp.ones(counts.shape, dtype) if scans.weight is None else scans.weight
-    scans = scans._replace(weight=jnp.where(counts, weight, 0.0))
+    scans = scans._replace(
+        time_s=jnp.where(scans.valid, scans.time_s, scans.time_s[-1]),
+        weight=jnp.where(counts, weight, 0.0),
+    )
     fixed, fixed_sensor = jax.lax.stop_gradient((scans, sensor))
 
     start, there, overflow = distant_pairs(

@@ -95,17 +95,25 @@ def memberships(
 
     def interval(now: Pairs, before: Pairs, own: Array, kernel: Array) -> tuple[Array, ...]:
         index, there, read = _kernels(now, before, sizes, rules)
-        # Nothing is read where the kernels' scales are all zero.
-        kernel_scale = read(kernel) if rules.scale == "covariance" else kernel[:1, None]
+        theta = read(before.theta_rad)
+        other = kernel[:1, None]  # zero for tolerances: nothing is read
+        if rules.scale == "covariance":
+            # Across the seam a kernel is read as (−ρ, θ ± π), which turns its covariance's sign.
+            turned = jnp.abs(now.theta_rad[:, None] - theta) > jnp.pi / 2
+            sign = number([1.0, -1.0, 1.0])[None, None, :]
+            other = read(kernel) * jnp.where(turned[..., None], sign, 1.0)
         d_rho, d_theta, box, near = _membership(
-            (now.rho_m[:, None], now.theta_rad[:, None], own[:, None]),
-            (read(before.rho_m), read(before.theta_rad), kernel_scale),
+            (now.rho_m[:, None], now.theta_rad[:, None]),
+            (read(before.rho_m), theta),
+            own[:, None] + other,
             temperature,
         )
-        inside = there & (box > 0)
+        # Soft alternatives are never left out: a box that underflows would be a step.
+        inside = there & (box > 0) if temperature is None else there
         value = jnp.where(inside, read(before.weight) * box * near, 0.0)
         best, left = choose(value, inside, temperature)
-        second, _ = choose(value * left, inside & (left > 0), temperature)
+        other_than_best = inside & (left > 0) if temperature is None else inside
+        second, _ = choose(value * left, other_than_best, temperature)
 
         ends = [
             [pick(x, index) for pick in (best, second)] for x in (before.first_m, before.second_m)
@@ -115,14 +123,16 @@ def memberships(
         between = line_through(
             middle[0], jnp.where(apart[:, None], middle[1], middle[0] + 1.0), origin
         )
+        scale = own + jnp.stack([best(other[..., c]) for c in range(3)], axis=-1)
         *_, box_between, near_between = _membership(
-            (now.rho_m, now.theta_rad, own), (*between, best(kernel, index)), temperature
+            (now.rho_m, now.theta_rad), between, scale, temperature
         )
         support = jnp.where(apart, box_between * near_between, 0.0)
-        for pick, a, b in zip((best, second), *ends, strict=True):
+        # What the best kernel leaves is no second one by itself, however soft the choice.
+        for pick, within, a, b in zip((best, second), (box, box * left), *ends, strict=True):
             times = pick(before.second_s, index), pick(before.dt_s, index)
             gate = _gate(now, a, b, *times, params, temperature)
-            support = support * gate * pick(box)
+            support = support * gate * pick(within)
         weights = best(before.weight, index), second(before.weight, index)
         uncertain = sure * jnp.where(weights[0] < weights[1], *weights) * support
         nearest = wrap_line(now.rho_m - best(d_rho), now.theta_rad - best(d_theta))
@@ -284,14 +294,11 @@ def _kernels(
 
 
 def _membership(
-    line: tuple[Array, Array, Array], other: tuple[Array, Array, Array], temperature: Array | None
+    line: tuple[Array, Array], other: tuple[Array, Array], scale: Array, temperature: Array | None
 ) -> tuple[Array, Array, Array, Array]:
-    """Return Δρ, Δθ, the box indicator and exp(−½ Δᵀ S⁻¹ Δ) with S the sum of both scales."""
-    d_rho, d_theta = line_difference(*line[:2], *other[:2])
-    # Across the seam the other line is read as (−ρ, θ ± π), which turns its covariance's sign.
-    turned = jnp.abs(line[1] - other[1]) > jnp.pi / 2
-    var_rho, var_theta = (line[2][..., c] + other[2][..., c] for c in (0, 2))
-    cov = line[2][..., 1] + jnp.where(turned, -other[2][..., 1], other[2][..., 1])
+    """Return Δρ, Δθ, the box indicator and exp(−½ Δᵀ S⁻¹ Δ), S in the first line's name."""
+    d_rho, d_theta = line_difference(*line, *other)
+    var_rho, cov, var_theta = (scale[..., c] for c in range(3))
     determinant = var_rho * var_theta - cov**2
     squared = var_theta * d_rho**2 - 2 * cov * d_rho * d_theta + var_rho * d_theta**2
     near = jnp.exp(-safe_divide(squared, determinant) / 2)

@@ -42,8 +42,9 @@ class Pairs(NamedTuple):
 
 
 def detection_times(scans: Scan) -> Array:
-    """Return each detection's own time, [K, N]."""
-    time = jnp.broadcast_to(scans.time_s[:, None], scans.mask.shape)
+    """Return each detection's own time, [K, N]; in a look that was lost, the last look's."""
+    time = jnp.where(scans.valid, scans.time_s, scans.time_s[-1])
+    time = jnp.broadcast_to(time[:, None], scans.mask.shape)
     if scans.delay_s is None:
         return time
     return time + jnp.where(scans.mask, scans.delay_s, 0.0)
@@ -116,13 +117,16 @@ def distant_pairs(
     """Return the constant-velocity trajectories through two detections at least `gap` looks apart.
 
     Args:
-        scans: K looks stacked.
+        scans: K > gap looks stacked; a detection of weight 0 counts as none.
         speed: admissible speeds.
         gap: least distance in looks, static.
         hypotheses: size of the table, static.
 
     Returns:
         States [H, 4] at the time of the last look, a mask [H], and whether some did not fit.
+
+    Raises:
+        ValueError: too few looks.
 
     Example:
         >>> scans = Scan(jnp.array([0.0, 1.0]), jnp.ones(2, bool),
@@ -132,12 +136,15 @@ def distant_pairs(
         [  0. 200.   0. 200.] [ True False]
     """
     looks, n = scans.mask.shape
+    check_size("number of looks", looks, at_least=gap + 1)
     couples = [(k, k + g) for g in range(gap, looks) for k in range(looks - g)]
     early = np.array([k for k, _ in couples], np.int32)
     late = np.array([k for _, k in couples], np.int32)
     counts = scans.mask & scans.valid[:, None]
     position = jnp.where(counts[..., None], scans.position_m, 0.0)
     time = detection_times(scans)
+    if scans.weight is not None:
+        counts = counts & (jnp.where(counts, scans.weight, 0.0) > 0)
     admissible = _admissible(position, time, counts, early, late, speed)
     flat, _, count, overflow = _pack(admissible.reshape(-1, n), hypotheses)
     row, first = flat // n, flat % n

@@ -6,6 +6,7 @@ lie close to its line. `extract` reads votes at parameter points; `extract_dense
 accumulator with a value a cell.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -17,6 +18,11 @@ from jaxtrack.hough.votes import VoteKernel, Votes, evaluate, upper_bound
 from jaxtrack.models.line import line_difference, point_line_distance, wrap_line
 from jaxtrack.numerics.safe import safe_divide
 from jaxtrack.types import Array, Lines, Scan
+
+RowReader = Callable[[Array], Array]
+"""Rows [B, n_ρ] of an accumulator by their indices [B]."""
+
+BLOCK = 64  # rows that are read at a time: a block stays in the cache
 
 
 class Peaks(NamedTuple):
@@ -86,72 +92,97 @@ def extract(
 def extract_dense(accumulator: Array, grid: Grid, peaks: Peaks, *, sizes: Sizes) -> Lines:
     """Return the strongest cells of a dense accumulator [n_θ, n_ρ] as lines.
 
-    The same greedy rule as `extract`. Row maxima are kept, so a peak costs the rows within the
-    separation instead of the whole accumulator.
+    The same greedy rule as `extract`, on the accumulator smoothed by `sizes.smooth` cells.
 
-    Note:
-        The loop over rows has a traced length: map over realizations with `jax.lax.map` (a
-        micro-batch of one), not with `vmap`. The separation in θ must stay below π/2.
+    Example:
+        >>> sizes = Sizes(lines=1, rho=80, theta=90)
+        >>> accumulator = jnp.zeros((90, 80)).at[45, 60].set(7.0)
+        >>> print(extract_dense(accumulator, Grid(), Peaks(), sizes=sizes).votes)
+        [7.]
     """
-    dtype = accumulator.dtype
     smoothed = smooth(accumulator, sizes=sizes) if sizes.smooth else accumulator
-    rho_step, theta_step = steps(grid, sizes, dtype)
+    return extract_rows(lambda j: smoothed[j], lambda j: accumulator[j], grid, peaks, sizes=sizes)
+
+
+def extract_rows(
+    values: RowReader, votes: RowReader, grid: Grid, peaks: Peaks, *, sizes: Sizes
+) -> Lines:
+    """Return the strongest cells of an accumulator that is read row by row.
+
+    Only the rows' maxima are kept; a peak reads the rows within its separation again. So the
+    accumulator need not stand in memory, and where it does it is never copied.
+
+    Args:
+        values: rows [B, n_ρ] of what peaks are found in, by their indices [B].
+        votes: rows of the unsmoothed votes, for the place between the cells.
+        grid: where the cells lie.
+        peaks: separation (below π/2 in θ) and gate.
+        sizes: how many cells and lines.
+    """
+    rho_step, theta_step = steps(grid, sizes, jnp.result_type(float))
+    dtype = rho_step.dtype
     rows_apart = jnp.floor(jnp.asarray(peaks.separation_theta_rad, dtype) / theta_step)
     cells_apart = jnp.floor(jnp.asarray(peaks.separation_rho_m, dtype) / rho_step)
     rows_apart = jnp.minimum(rows_apart, sizes.theta // 2 - 1).astype(jnp.int32)
     cells_apart = jnp.minimum(cells_apart, sizes.rho).astype(jnp.int32)
     cells = jnp.arange(sizes.rho, dtype=jnp.int32)
+    block = min(BLOCK, sizes.theta)
+    offset = jnp.arange(block, dtype=jnp.int32)
 
-    def apart(row: Array, i: Array, j: Array) -> Array:
-        """Return which cells of a row are outside the separation of a peak."""
-        d_j = row - j
-        turned = jnp.abs(d_j) > sizes.theta // 2
-        d_j = jnp.where(turned, d_j - jnp.sign(d_j) * sizes.theta, d_j)
-        centre = jnp.where(turned, sizes.rho - 1 - i, i)
-        return (jnp.abs(d_j) > rows_apart) | (jnp.abs(cells - centre) > cells_apart)
+    def left(rows: Array, found: tuple[Array, Array]) -> Array:
+        """Return rows of the accumulator without what the peaks silence."""
 
-    def left(row: Array, peaks: tuple[Array, Array]) -> Array:
-        """Return a row of the accumulator without what the peaks silence."""
-        free = jax.vmap(lambda i, j: apart(row, i, j))(*peaks)
-        return jnp.where(free.all(0), smoothed[row], 0.0)
+        def free(row: Array, i: Array, j: Array) -> Array:
+            d_j = row - j
+            turned = jnp.abs(d_j) > sizes.theta // 2
+            d_j = jnp.where(turned, d_j - jnp.sign(d_j) * sizes.theta, d_j)
+            centre = jnp.where(turned, sizes.rho - 1 - i, i)
+            return (jnp.abs(d_j) > rows_apart) | (jnp.abs(cells - centre) > cells_apart)
+
+        each_peak = jax.vmap(free, in_axes=(None, 0, 0))
+        each_row = jax.vmap(lambda row: each_peak(row, *found).all(0))
+        return jnp.where(each_row(rows), values(rows), 0.0)
 
     def pick(
         carry: tuple[Array, tuple[Array, Array]], n: Array
     ) -> tuple[tuple[Array, tuple[Array, Array]], Array]:
-        # The accumulator is only read: a carry that is written would be copied, all 20 MB of it.
-        row_max, peaks = carry
+        row_max, found = carry
         j = jnp.argmax(row_max).astype(jnp.int32)
-        value = row_max[j]
-        i = jnp.argmax(left(j, peaks)).astype(jnp.int32)
-        peaks = peaks[0].at[n].set(i), peaks[1].at[n].set(j)
+        i = jnp.argmax(left(j[None], found)[0]).astype(jnp.int32)
+        found = found[0].at[n].set(i), found[1].at[n].set(j)
 
-        def silence(d_j: Array, row_max: Array) -> Array:
-            row = (j + d_j) % sizes.theta
-            return row_max.at[row].set(left(row, peaks).max())
+        def silence(b: Array, row_max: Array) -> Array:
+            rows = (j - rows_apart + b * block + offset) % sizes.theta
+            return row_max.at[rows].set(left(rows, found).max(1))
 
-        row_max = jax.lax.fori_loop(-rows_apart, rows_apart + 1, silence, row_max)
-        return (row_max, peaks), value
+        blocks = (2 * rows_apart + block) // block
+        return (jax.lax.fori_loop(0, blocks, silence, row_max), found), row_max[j]
 
+    every = jnp.minimum(
+        jnp.arange(-(-sizes.theta // block), dtype=jnp.int32)[:, None] * block + offset[None],
+        sizes.theta - 1,
+    )
+    row_max = jax.lax.map(lambda rows: values(rows).max(1), every).ravel()[: sizes.theta]
     # Rows far outside stand for peaks that are not there yet.
     nowhere = jnp.zeros(sizes.lines, jnp.int32), jnp.full(sizes.lines, -4 * sizes.theta, jnp.int32)
-    start = (smoothed.max(axis=1), nowhere)
-    (_, (i, j)), value = jax.lax.scan(pick, start, jnp.arange(sizes.lines))
+    (_, (i, j)), value = jax.lax.scan(pick, (row_max, nowhere), jnp.arange(sizes.lines))
     reach = max(3 * sizes.smooth, 1)
 
     def refine(i: Array, j: Array) -> tuple[Array, Array]:
         rho, theta = centre_of(i, j, grid, sizes, dtype)
-        offset = jnp.arange(-reach, reach + 1, dtype=jnp.int32)
-        row, column = j + offset[:, None], i + offset[None, :]
-        turned = (row < 0) | (row >= sizes.theta)
-        row = jnp.where(turned, row - jnp.sign(row) * sizes.theta, row)
+        near = jnp.arange(-reach, reach + 1, dtype=jnp.int32)
+        row, column = j + near, i + near[None, :]
+        turned = ((row < 0) | (row >= sizes.theta))[:, None]
         column = jnp.where(turned, sizes.rho - 1 - column, column)
-        near = accumulator.at[row, column].get(mode="fill", fill_value=0)
-        near = jnp.where((column >= 0) & (column < sizes.rho), near, 0.0)
-        shift = lambda d: safe_divide((near * d).sum(), near.sum())
-        d = offset.astype(dtype)
+        inside = (column >= 0) & (column < sizes.rho)
+        column = jnp.clip(column, 0, sizes.rho - 1)
+        counts = jnp.take_along_axis(votes(row % sizes.theta), column, axis=1)
+        counts = jnp.where(inside, counts, 0.0).astype(dtype)
+        shift = lambda d: safe_divide((counts * d).sum(), counts.sum())
+        d = near.astype(dtype)
         return wrap_line(rho + shift(d[None, :] * rho_step), theta + shift(d[:, None] * theta_step))
 
-    return _lines(*jax.vmap(refine)(i, j), value, value > 0, grid, peaks)
+    return _lines(*jax.lax.map(lambda c: refine(*c), (i, j)), value, value > 0, grid, peaks)
 
 
 def smooth(accumulator: Array, *, sizes: Sizes) -> Array:

@@ -2,7 +2,7 @@
 
     ρ(θ) = x cos θ + y sin θ
 
-K·N·n_θ votes into a dense accumulator. The other methods replace the traversal by pairs.
+K·N·n_θ votes. The other methods replace the traversal by pairs.
 """
 
 from typing import NamedTuple
@@ -11,11 +11,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack.hough.grid import Grid, Sizes, cell_of, centre_of, check_sizes, steps
-from jaxtrack.hough.peaks import HoughInfo, Peaks, extract_dense, inform
+from jaxtrack.hough.peaks import BLOCK, HoughInfo, Peaks, RowReader, extract_rows, inform, smooth
 from jaxtrack.hough.votes import interval_mass
 from jaxtrack.types import Array, Key, Lines, Scan
-
-_ROWS = 64  # columns of θ that are voted into at a time
 
 
 class StandardParams(NamedTuple):
@@ -25,10 +23,42 @@ class StandardParams(NamedTuple):
     peaks: Peaks = Peaks()
 
 
-def accumulator(scans: Scan, grid: Grid, *, sizes: Sizes) -> Array:
-    """Return the accumulator [n_θ, n_ρ] of all detections' sinusoids, hard votes.
+def rows(scans: Scan, grid: Grid, *, sizes: Sizes) -> RowReader:
+    """Return a reader of the accumulator's rows, which votes when it is asked.
 
         C(i, j) = Σ w [ρ(θ_j) in cell i],   ρ(θ) = (x − o_x) cos θ + (y − o_y) sin θ
+
+    Args:
+        scans: K looks stacked.
+        grid: where the cells lie.
+        sizes: how many there are.
+
+    Source: neutrosophic Hough transform (2018), equation 6.
+    """
+    position, weight = _detections(scans, grid)
+    dtype = position.dtype
+    rho_step, theta_step = steps(grid, sizes, dtype)
+    # In units of cells, so that the inner loop is two products and a rounding.
+    x, y = position[:, 0] / rho_step, position[:, 1] / rho_step
+
+    def read(j: Array) -> Array:
+        n_rows = j.shape[0]
+        theta = (j.astype(dtype) + 0.5) * theta_step
+        rho = jnp.cos(theta)[:, None] * x[None, :] + jnp.sin(theta)[:, None] * y[None, :]
+        # What falls outside lands in a cell before the first or behind the last, cut off below.
+        cell = jnp.clip(jnp.floor(rho + (sizes.rho / 2 + 1)), 0, sizes.rho + 1)
+        row = jnp.arange(n_rows, dtype=jnp.int32)[:, None] * (sizes.rho + 2)
+        weights = jnp.broadcast_to(weight[None, :], cell.shape).ravel()
+        votes = jnp.zeros(n_rows * (sizes.rho + 2), dtype)
+        index = (row + cell.astype(jnp.int32)).ravel()
+        votes = votes.at[index].add(weights, mode="promise_in_bounds")
+        return votes.reshape(n_rows, sizes.rho + 2)[:, 1:-1]
+
+    return read
+
+
+def accumulator(scans: Scan, grid: Grid, *, sizes: Sizes) -> Array:
+    """Return the accumulator [n_θ, n_ρ] of all detections' sinusoids, hard votes.
 
     Args:
         scans: K looks stacked.
@@ -43,27 +73,11 @@ def accumulator(scans: Scan, grid: Grid, *, sizes: Sizes) -> Array:
 
     Source: neutrosophic Hough transform (2018), equation 6.
     """
-    position, weight = _detections(scans, grid)
-    dtype = position.dtype
-    rho_step, theta_step = steps(grid, sizes, dtype)
-    blocks = -(-sizes.theta // _ROWS)
-    theta = (jnp.arange(blocks * _ROWS, dtype=dtype) + 0.5) * theta_step
-    # In units of cells, so that the inner loop is two products and a rounding.
-    x, y = position[:, 0] / rho_step, position[:, 1] / rho_step
-    row = jnp.arange(_ROWS, dtype=jnp.int32)[:, None] * (sizes.rho + 2)
-    weights = jnp.broadcast_to(weight[None, :], (_ROWS, weight.shape[0])).ravel()
-
-    def block(theta: Array) -> Array:
-        rho = jnp.cos(theta)[:, None] * x[None, :] + jnp.sin(theta)[:, None] * y[None, :]
-        # What falls outside lands in a cell before the first or behind the last, cut off below.
-        cell = jnp.clip(jnp.floor(rho + (sizes.rho / 2 + 1)), 0, sizes.rho + 1)
-        index = (row + cell.astype(jnp.int32)).ravel()
-        votes = jnp.zeros(_ROWS * (sizes.rho + 2), dtype)
-        votes = votes.at[index].add(weights, mode="promise_in_bounds")
-        return votes.reshape(_ROWS, sizes.rho + 2)[:, 1:-1]
-
+    read = rows(scans, grid, sizes=sizes)
+    blocks = -(-sizes.theta // BLOCK)
+    index = jnp.arange(blocks * BLOCK, dtype=jnp.int32).reshape(blocks, BLOCK)
     # A block of rows stays in the cache: three times as fast as one scatter over all of them.
-    return jax.lax.map(block, theta.reshape(blocks, _ROWS)).reshape(-1, sizes.rho)[: sizes.theta]
+    return jax.lax.map(read, index).reshape(-1, sizes.rho)[: sizes.theta]
 
 
 def soft_votes(
@@ -138,11 +152,17 @@ def estimate(
     Source: neutrosophic Hough transform (2018), equation 6.
 
     Note:
-        Twenty megabytes at 1 600 × 3 142 cells: give the Monte Carlo engine `micro_batch=1`.
+        Loops of traced length: give the Monte Carlo engine `micro_batch=1`. Smoothed, the
+        accumulator stands in memory: 20 MB at 1 600 × 3 142 cells.
     """  # noqa: E501
     check_sizes(sizes)
-    votes = accumulator(scans, params.grid, sizes=sizes)
-    lines = extract_dense(votes, params.grid, params.peaks, sizes=sizes)
+    read = rows(scans, params.grid, sizes=sizes)
+    if sizes.smooth:
+        # Smoothing needs the rows around a row: here the accumulator has to stand in memory.
+        smoothed = smooth(accumulator(scans, params.grid, sizes=sizes), sizes=sizes)
+        lines = extract_rows(lambda j: smoothed[j], read, params.grid, params.peaks, sizes=sizes)
+    else:
+        lines = extract_rows(read, read, params.grid, params.peaks, sizes=sizes)
     return lines, inform(lines, scans, params.peaks, jnp.asarray(False), None)
 
 

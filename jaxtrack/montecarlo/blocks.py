@@ -37,6 +37,9 @@ def run_micro_batch(plan: Plan, key: Key, params: Any, index: jax.Array) -> Any:
     keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(key, trial)
 
     def one_set(one_params: Any) -> Any:
+        if plan.micro_batch == 1:
+            # Without vmap: it would turn loops of traced length into selects of whole arrays.
+            return jax.tree.map(lambda x: jnp.asarray(x)[None], plan.fn(keys[0], one_params))
         return jax.vmap(plan.fn, in_axes=(0, None))(keys, one_params)
 
     return jax.lax.map(one_set, params) if plan.batch_params else one_set(params)

@@ -1,1 +1,9 @@
-"""To be described."""
+"""Figures: data in, a `matplotlib.figure.Figure` out; the caller saves it."""
+
+from jaxtrack.plots.accumulations import accumulations
+from jaxtrack.plots.comparisons import run_times, scores
+from jaxtrack.plots.scene import scene
+from jaxtrack.plots.sinusoids import sinusoids
+from jaxtrack.plots.style import style
+
+__all__ = ["accumulations", "run_times", "scene", "scores", "sinusoids", "style"]

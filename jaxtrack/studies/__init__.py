@@ -1,1 +1,13 @@
-"""To be described."""
+"""Studies: a paper's experiments, run again; tables and figures beside what the paper says.
+
+A study is one entry of `STUDIES`. It simulates with `jaxtrack.monte_carlo`, prints tables made by
+`studies.tables` (ours, the paper's words, the mark, the verdict) and saves labelled results and a
+summary through `studies.store`. The same seed and number of trials give the same results.
+"""
+
+from jaxtrack.studies.nht import STUDY as _NHT
+from jaxtrack.studies.registry import Context, Study
+
+STUDIES: dict[str, Study] = {study.name: study for study in (_NHT,)}
+
+__all__ = ["STUDIES", "Context", "Study"]

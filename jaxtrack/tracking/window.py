@@ -102,8 +102,10 @@ def initiate_window(
     Note:
         Targets' own detections count as clutter, and clutter as even over the bounding box of all
         detections: few targets in much clutter make both harmless. Tolerances of the Hough methods
-        are the paper's at a noise of 10 m, and grow with it. Cells are 5 m × 1 mrad, along ρ half
-        the noise where that is more, and wider still where there would be over 2048 of them.
+        are the paper's at a noise of 10 m and grow with it, but for what decides whether noisy
+        pairs meet at all: here the neutrosophic memberships use every pair's own covariance, and
+        the modified and improved vote falls in cells of 50 m × 30 mrad (the standard one: 5 m ×
+        1 mrad), wider along ρ where there would be over 2048 of them.
     """
     _check_options(method, speed, sigma_m, p_detect, false_per_run, max_tracks)
     key = jax.random.key(0) if key is None else key
@@ -127,7 +129,7 @@ def initiate_window(
     fewer = sizes._replace(tracks=min(max_tracks, 3)) if isinstance(sizes, JointSizes) else sizes
     trial = _trial(method, fewer, field.most_detections)
     # The dense accumulator of one scene already fills the cache.
-    micro_batch = 1 if method == "standard" else 1
+    micro_batch = 1 if method == "standard" else 4
     run = monte_carlo(
         trial,
         key,
@@ -204,7 +206,8 @@ def _estimate(
         params = neutrosophic.NeutrosophicParams(
             grid, peaks, speed, eps_rho_m=2 * sigma_m, sigma_m=sigma_m
         )
-        lines, info = neutrosophic.estimate(scans, params, sizes=sizes)
+        rules = neutrosophic.Rules(scale="covariance")
+        lines, info = neutrosophic.estimate(scans, params, sizes=sizes, rules=rules)
     near = InitiateParams(6 * sigma_m, 9 * sigma_m, sigma_m, speed)
     tracks, started = initiate(scans, lines, near)
     return tracks, (started.member >= 0).sum(-1), started.smoothed_m, info.overflow

@@ -12,10 +12,11 @@ from jaxtrack.types import Scan
 
 MOST_PAIRS = 1 << 16  # of one interval
 MOST_PREDECESSORS = 1 << 10
-MOST_HYPOTHESES = 1 << 17
+MOST_HYPOTHESES = 1 << 16
 MOST_CELLS = 2048  # along ρ
-_CELL_RAD = 1e-3
-_SMOOTH = 2  # cells; raw votes of noisy detections scatter over several cells
+
+# Width along ρ at a noise of 10 m (it grows with it), width along θ, smoothing in cells.
+_CELLS = {"standard": (5.0, 1e-3, 2), "pairs": (50.0, 30e-3, 1)}
 
 
 class Field(NamedTuple):
@@ -69,9 +70,14 @@ def choose_sizes(
     looks = int(np.shape(scans.time_s)[0])
     gate = None if method in ("standard", "modified") else speed
     if method == "joint":
-        gap = looks // 2
-        couples = [(k, k + g) for g in range(gap, looks) for k in range(looks - g)]
-        pairs = sum(int(_admissible(scans, k, m, gate).sum()) for k, m in couples)
+        # From half a window apart on; farther where that makes more pairs than fit.
+        gap, pairs = looks, 0
+        while gap > max(looks // 2, 1):
+            couples = [(k, k + gap - 1) for k in range(looks - gap + 1)]
+            more = sum(int(_admissible(scans, k, m, gate).sum()) for k, m in couples)
+            if pairs and 3 * (pairs + more) // 2 > MOST_HYPOTHESES:
+                break
+            gap, pairs = gap - 1, pairs + more
         hypotheses, notes = _fitting(pairs, 1024, MOST_HYPOTHESES, "pairs of distant looks")
         return JointSizes(tracks=tracks, hypotheses=hypotheses, gap=gap), notes
     tables = [_admissible(scans, k, k + 1, gate) for k in range(looks - 1)]
@@ -83,7 +89,9 @@ def choose_sizes(
     if method == "neutrosophic":
         predecessors, more = _fitting(ending, 16, MOST_PREDECESSORS, "pairs ending in a detection")
         notes += more
-    cell_m = max(5.0, sigma_m / 2)
+    # A detection's noise moves its curve by sigma; the line of two near detections is much poorer.
+    cell_m, cell_rad, smooth = _CELLS["standard" if method == "standard" else "pairs"]
+    cell_m *= sigma_m / 10.0
     rho = math.ceil(2 * field.rho_max_m / cell_m)
     if rho > MOST_CELLS:
         rho, wide_m = MOST_CELLS, 2 * field.rho_max_m / MOST_CELLS
@@ -93,8 +101,8 @@ def choose_sizes(
         pairs=pairs,
         predecessors=predecessors,
         rho=rho,
-        theta=math.ceil(math.pi / _CELL_RAD),
-        smooth=_SMOOTH,
+        theta=math.ceil(math.pi / cell_rad),
+        smooth=smooth,
     )
     return sizes, notes
 

@@ -1,0 +1,158 @@
+"""A scene from above: detections, the true paths, and the tracks that were found."""
+
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from jaxtrack.numerics.checks import check_choice
+from jaxtrack.plots.style import COLOURS, INK, WIDTH_IN, dress, say_empty, style
+from jaxtrack.types import Scan, Tracks, Truth
+
+_LABELS = {"x_y": ("x, km", "y, km"), "north_east": ("east, km", "north, km")}
+
+
+def scene(
+    scans: Scan | None,
+    truth: Truth | None = None,
+    tracks: Tracks | None = None,
+    *,
+    smoothed_m: Any = None,
+    title: str = "",
+    axes: str = "x_y",
+) -> Figure:
+    """Return a map of detections (coloured by time), true paths (dashed) and tracks.
+
+    Args:
+        scans: K looks stacked.
+        truth: T times of the targets.
+        tracks: M tracks; an arrow shows where each is heading.
+        smoothed_m: [M, K, 2] where the tracks were at every look; None: on a straight line.
+        title: of the figure.
+        axes: `"x_y"` or `"north_east"` (x north is drawn upwards, y east to the right).
+
+    Raises:
+        ValueError: unknown axes.
+
+    Example:
+        >>> from jaxtrack.sensors import crossing_targets
+        >>> figure = scene(None, crossing_targets().truth, title="Three crossing targets")
+        >>> figure.axes[0].get_xlabel()
+        'x, km'
+
+    Source: neutrosophic Hough transform (2018), figures 4–6 and 12–14.
+    """
+    check_choice("axes", axes, tuple(_LABELS))
+    order = [0, 1] if axes == "x_y" else [1, 0]
+    km = lambda position_m: np.asarray(position_m, np.float64)[..., :2][..., order] / 1000.0
+    shown: list[np.ndarray] = []
+    with style():
+        figure = Figure(figsize=(WIDTH_IN, 4.5), layout="constrained")
+        plane = figure.add_subplot()
+        if scans is not None:
+            shown.append(_detections(figure, plane, scans, km))
+        if truth is not None:
+            shown.append(_truth(plane, truth, km))
+        if tracks is not None:
+            shown.append(_tracks(plane, tracks, _paths_m(tracks, scans, truth, smoothed_m), km))
+        everything = np.concatenate([np.zeros((0, 2)), *shown])
+        _frame(figure, plane, everything)
+        plane.set(xlabel=_LABELS[axes][0], ylabel=_LABELS[axes][1])
+        dress(plane)
+        plane.set_title(title, loc="left", fontweight="bold")
+        handles, labels = plane.get_legend_handles_labels()
+        if handles:
+            figure.legend(handles, labels, loc="outside lower center", ncols=min(len(handles), 6))
+        if not len(everything):
+            say_empty(plane, "no detections, no tracks")
+    return figure
+
+
+def _detections(figure: Figure, plane: Axes, scans: Scan, km: Any) -> np.ndarray:
+    counts = np.asarray(scans.mask) & np.asarray(scans.valid)[:, None]
+    position = km(scans.position_m)[counts]
+    if not len(position):
+        return position
+    time_s = np.asarray(scans.time_s, np.float64)
+    looks = np.broadcast_to(time_s[:, None], counts.shape)[counts]
+    times = Normalize(time_s.min(), max(time_s.max(), time_s.min() + 1e-9))
+    # Without its light end, which would vanish against white.
+    colours = ListedColormap(matplotlib.colormaps["cividis"](np.linspace(0.0, 0.85, 128)))
+    plane.scatter(*position.T, c=looks, cmap=colours, norm=times, s=10, linewidths=0, zorder=2)
+    bar = figure.colorbar(
+        ScalarMappable(times, colours), ax=plane, shrink=0.75, aspect=30, pad=0.02
+    )
+    bar.set_label("time of the detection, s")
+    bar.outline.set_visible(False)  # type: ignore[operator]
+    bar.ax.tick_params(labelsize=8.5, width=0.7, length=3)
+    return position
+
+
+def _truth(plane: Axes, truth: Truth, km: Any) -> np.ndarray:
+    position, mask = km(truth.state), np.asarray(truth.mask)
+    for target in range(mask.shape[1]):
+        path = position[mask[:, target], target]
+        label = "truth" if target == 0 else None
+        plane.plot(*path.T, color=INK, ls=(0, (4, 2)), lw=1.0, zorder=3, label=label)
+        plane.plot(*path.T, "o", mfc="none", mec=INK, ms=6, mew=0.7, zorder=3)
+    return position[mask]
+
+
+def _tracks(plane: Axes, tracks: Tracks, path_m: np.ndarray, km: Any) -> np.ndarray:
+    live = np.flatnonzero(np.asarray(tracks.mask))
+    mean = np.asarray(tracks.mean, np.float64)
+    ends = [np.zeros((0, 2))]
+    for place, slot in enumerate(live):
+        colour = COLOURS[place % len(COLOURS)]
+        path, here = km(path_m[slot]), km(mean[slot, :2])
+        label = f"track {np.asarray(tracks.identity)[slot]}"
+        plane.plot(*path.T, color=colour, lw=2.2, alpha=0.85, zorder=4, label=label)
+        # A tenth of the way it has come, so that slow and fast scenes look alike.
+        ahead = km(mean[slot, 2:4]) * max(_duration_s(path_m[slot], mean[slot, 2:4]), 1e-9) * 0.12
+        arrow = {"arrowstyle": "-|>", "color": colour, "lw": 2.2, "shrinkA": 0, "shrinkB": 0}
+        plane.annotate("", here + ahead, here, arrowprops=arrow, zorder=5)
+        ends += [path, here[None], (here + ahead)[None]]
+    return np.concatenate(ends)
+
+
+def _duration_s(path_m: np.ndarray, velocity_m_s: np.ndarray) -> float:
+    speed = float(np.hypot(*velocity_m_s))
+    length = float(np.hypot(*(path_m[-1] - path_m[0]))) if len(path_m) else 0.0
+    return length / speed if speed > 0 else 0.0
+
+
+def _paths_m(
+    tracks: Tracks, scans: Scan | None, truth: Truth | None, smoothed_m: Any
+) -> np.ndarray:
+    """Return where the tracks were at every look, [M, K, 2]."""
+    if smoothed_m is not None:
+        return np.asarray(smoothed_m, np.float64)
+    seen = scans if scans is not None else truth
+    end_s = float(tracks.time_s)
+    dt = np.zeros(1) if seen is None else np.asarray(seen.time_s, np.float64) - end_s
+    mean = np.asarray(tracks.mean, np.float64)
+    return mean[:, None, :2] + mean[:, None, 2:4] * dt[None, :, None]
+
+
+def _frame(figure: Figure, plane: Axes, everything: np.ndarray) -> None:
+    """Show everything in true proportions, with a margin, in a figure of fitting height."""
+    if not len(everything):
+        plane.set(xlim=(0, 1), ylim=(0, 1))
+        return
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    span = max(float((high - low).max()), 1e-3)
+    # Where all lies on a line the plane still has some width.
+    half = np.maximum((high - low) / 2 + 0.04 * span, 0.15 * span)
+    centre = (low + high) / 2
+    plane.set(
+        xlim=(centre - half)[0] + [0, 2 * half[0]], ylim=(centre - half)[1] + [0, 2 * half[1]]
+    )
+    plane.set_aspect("equal")
+    plane.xaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 5, 10]))
+    plane.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
+    figure.set_figheight(float(np.clip(1.2 + 5.6 * half[1] / half[0], 3.0, 7.5)))

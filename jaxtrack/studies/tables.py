@@ -1,0 +1,150 @@
+"""Tables of results beside what a paper says, and verdicts on marks that were fixed beforehand.
+
+A figure fails when its whole 95 % interval lies on the wrong side of its mark. Below twenty trials
+there is no verdict: such a run only shows that everything works ("smoke").
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.table import Table
+
+from jaxtrack.montecarlo import interval_of_mean, proportion_interval
+
+SMOKE_BELOW = 20
+PASS, FAILS, SMOKE, NONE = "pass", "fails", "smoke", ""
+_COLOURS = {PASS: "green", FAILS: "bold red", SMOKE: "yellow", NONE: ""}
+
+
+class Figure(NamedTuple):
+    """A number with its 95 % interval and the trials behind it."""
+
+    value: float
+    lower: float
+    upper: float
+    trials: int
+    unit: str = ""
+
+
+class Mark(NamedTuple):
+    """What a figure has to reach, fixed before it was seen."""
+
+    bound: float
+    at_least: bool = True  # False: at most
+
+
+class Row(NamedTuple):
+    """One line of a table of marks."""
+
+    what: str
+    ours: Figure
+    paper: str = ""  # the paper's words or number
+    mark: Mark | None = None
+
+
+def rate(successes: Any, trials: int) -> Figure:
+    """Return a share of trials with Wilson's interval.
+
+    Example:
+        >>> rate(90, 100).lower < 0.9 < rate(90, 100).upper
+        True
+    """
+    interval = proportion_interval(successes, trials)
+    return Figure(successes / trials, float(interval.lower), float(interval.upper), trials)
+
+
+def mean(value: float, standard_error: float, trials: int, unit: str = "") -> Figure:
+    """Return a mean over trials with its normal interval."""
+    interval = interval_of_mean(value, standard_error)
+    return Figure(value, float(interval.lower), float(interval.upper), trials, unit)
+
+
+def root_mean_square(
+    squares: np.ndarray, counts: np.ndarray, trials: int, unit: str = ""
+) -> Figure:
+    """Return sqrt(Σ squares / Σ counts) with the interval of the ratio, trials being independent.
+
+    Args:
+        squares: [trials] sum of a trial's squared errors.
+        counts: [trials] how many errors it had.
+        trials: how many.
+        unit: of the root.
+
+    Example:
+        >>> root_mean_square(np.array([4.0, 4.0]), np.array([1, 1]), 2).value
+        2.0
+    """
+    total = counts.sum()
+    if total == 0:
+        return Figure(np.nan, np.nan, np.nan, trials, unit)
+    square = squares.sum() / total
+    error = np.sqrt(((squares - square * counts) ** 2).sum()) / total
+    lower, upper = interval_of_mean(square, error)
+    return Figure(
+        float(np.sqrt(square)), float(np.sqrt(max(lower, 0.0))), float(np.sqrt(upper)), trials, unit
+    )
+
+
+def verdict(figure: Figure, mark: Mark | None) -> str:
+    """Return "pass", "fails", "smoke" (too few trials to say), or "" without a mark.
+
+    Example:
+        >>> verdict(rate(90, 100), Mark(0.93)), verdict(rate(80, 100), Mark(0.93))
+        ('pass', 'fails')
+    """
+    if mark is None:
+        return NONE
+    if figure.trials < SMOKE_BELOW:
+        return SMOKE
+    reached = figure.upper >= mark.bound if mark.at_least else figure.lower <= mark.bound
+    return PASS if reached else FAILS  # NaN reaches nothing
+
+
+def marks_table(title: str, rows: Sequence[Row]) -> Table:
+    """Return a table of ours, the paper's words, the mark and the verdict."""
+    table = Table(title=title, title_justify="left")
+    for heading in ("", "ours", "95 %", "trials", "paper", "mark", "verdict"):
+        table.add_column(heading, justify="left" if heading in ("", "paper") else "right")
+    for row in rows:
+        word = verdict(row.ours, row.mark)
+        table.add_row(
+            row.what,
+            number(row.ours.value, row.ours.unit),
+            f"{number(row.ours.lower)} … {number(row.ours.upper)}",
+            str(row.ours.trials),
+            row.paper,
+            "" if row.mark is None else f"{'≥' if row.mark.at_least else '≤'} {row.mark.bound:g}",
+            f"[{_COLOURS[word]}]{word}[/]" if word else "",
+        )
+    return table
+
+
+def grid_table(
+    title: str, rows: Sequence[str], columns: Sequence[str], cells: Sequence[Sequence[str]]
+) -> Table:
+    """Return a plain table of prepared cells [rows][columns]."""
+    table = Table(title=title, title_justify="left")
+    table.add_column("")
+    for column in columns:
+        table.add_column(column, justify="right")
+    for name, line in zip(rows, cells, strict=True):
+        table.add_row(name, *line)
+    return table
+
+
+def number(value: float, unit: str = "") -> str:
+    """Return a number in three digits, a dash where there is none.
+
+    Example:
+        >>> number(0.9754), number(float("nan")), number(7.84, "m")
+        ('.975', '–', '7.84 m')
+    """
+    if not np.isfinite(value):
+        return "–"
+    text = f"{value:.3f}" if abs(value) < 1 else f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+    if text.startswith(("0.", "-0.")) and abs(value) < 1:
+        text = text.replace("0.", ".", 1)
+    if unit == "rad":
+        text = f"{value:.4f}"
+    return f"{text} {unit}".strip()

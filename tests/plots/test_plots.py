@@ -1,0 +1,166 @@
+"""Figures hold what they were given; empty data do not stop them."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from jaxtrack import plots
+from jaxtrack.plots.accumulations import _coarse
+from jaxtrack.plots.sinusoids import _nearest_line
+from jaxtrack.sensors import crossing_targets, observe
+from jaxtrack.types import Scan, Tracks
+
+
+def draw(figure: Figure, tmp_path) -> None:
+    path = tmp_path / "figure.png"
+    figure.savefig(path)
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert path.stat().st_size > 2000
+
+
+def three_tracks(time_s: float, states: np.ndarray) -> Tracks:
+    slots = len(states)
+    one = np.ones(slots)
+    mask = np.arange(slots) < slots - 1  # the last slot is empty
+    mean = np.where(mask[:, None], states, np.nan)
+    identity = np.where(mask, 10 + np.arange(slots), -1)
+    return Tracks(np.asarray(time_s), mean, np.zeros((slots, 4, 4)), mask, identity, one, one, one)
+
+
+def legend(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+@pytest.fixture(scope="module")
+def crossing():
+    scene = crossing_targets("IV", 10.0)
+    return scene.truth, observe(jax.random.key(0), scene.truth, scene.radar, detections=40)
+
+
+def test_scene_shows_every_detection_and_only_live_tracks(crossing, tmp_path):
+    truth, scans = crossing
+    states = np.concatenate([np.asarray(truth.state[-1]), np.zeros((1, 4))])
+    figure = plots.scene(scans, truth, three_tracks(12.0, states), title="crossing")
+    plane = figure.axes[0]
+    assert plane.get_title(loc="left") == "crossing"
+    assert len(plane.collections[0].get_offsets()) == int(scans.mask.sum())
+    assert legend(figure) == ["truth", "track 10", "track 11", "track 12"]
+    by_label = {line.get_label(): line for line in plane.get_lines()}
+    # Without smoothed positions a track is drawn along its velocity, back to the first look.
+    for target in range(3):
+        path = by_label[f"track {10 + target}"].get_xydata()
+        np.testing.assert_allclose(path, np.asarray(truth.state[:, target, :2]) / 1e3, atol=1e-6)
+    low, high = np.asarray(truth.state).min((0, 1)) / 1e3, np.asarray(truth.state).max((0, 1)) / 1e3
+    assert plane.get_xlim()[0] < low[0] < high[0] < plane.get_xlim()[1]
+    assert plane.get_ylim()[0] < low[1] < high[1] < plane.get_ylim()[1]
+    draw(figure, tmp_path)
+
+
+def test_scene_draws_north_upwards_and_smoothed_positions(crossing):
+    truth, scans = crossing
+    tracks = three_tracks(12.0, np.array([[0.0, 5000.0, 0.0, 100.0], [0.0] * 4]))
+    smoothed = np.array([[[0.0, 4000.0], [1000.0, 5000.0]], [[np.nan] * 2] * 2])
+    figure = plots.scene(None, None, tracks, smoothed_m=smoothed, axes="north_east")
+    plane = figure.axes[0]
+    assert (plane.get_xlabel(), plane.get_ylabel()) == ("east, km", "north, km")
+    np.testing.assert_allclose(plane.get_lines()[0].get_xydata(), [[4.0, 0.0], [5.0, 1.0]])
+    with pytest.raises(ValueError, match="axes: got 'up'"):
+        plots.scene(scans, truth, None, axes="up")
+
+
+def test_scene_ignores_masked_detections_that_are_nan():
+    position = np.array([[[0.0, 0.0], [np.nan, np.nan]], [[50.0, 0.0], [1e9, 1e9]]])
+    mask = np.array([[True, False], [True, False]])
+    scans = Scan(np.arange(2.0), np.ones(2, bool), position, mask)  # pyright: ignore
+    figure = plots.scene(scans, None, None)
+    assert len(figure.axes[0].collections[0].get_offsets()) == 2
+    assert figure.axes[0].get_xlim()[1] < 0.1
+
+
+def test_scene_without_anything_is_an_empty_map(tmp_path):
+    nothing = Scan(np.arange(2.0), np.ones(2, bool), np.zeros((2, 1, 2)), np.zeros((2, 1), bool))  # pyright: ignore
+    for scans in (None, nothing):
+        figure = plots.scene(scans, None, None)
+        assert "no detections" in figure.axes[0].texts[0].get_text()
+        draw(figure, tmp_path)
+
+
+def test_sinusoids_meet_in_the_line(tmp_path):
+    points = np.array([[0.0, 80.0], [300.0, 80.0], [900.0, 80.0]])
+    figure = plots.sinusoids(points, title="figure 2")
+    plane, space = figure.axes
+    assert len(plane.get_lines()) == 4  # three points and their line
+    curves, meeting = space.get_lines()[:3], space.get_lines()[3].get_xydata()[0]
+    np.testing.assert_allclose(meeting, [np.pi / 2, 80.0], atol=1e-6)
+    for curve in curves:
+        theta, rho = curve.get_data()
+        assert abs(np.interp(meeting[0], theta, rho) - meeting[1]) < 1e-6
+    draw(figure, tmp_path)
+    draw(plots.sinusoids(np.zeros((0, 2))), tmp_path)
+    draw(plots.sinusoids([[3.0, 4.0]]), tmp_path)
+
+
+def test_nearest_line_of_an_upright_line():
+    rho, theta = _nearest_line(np.array([[-5.0, 0.0], [-5.0, 10.0]]))
+    assert (rho, theta) == pytest.approx((-5.0, 0.0)) or (rho, theta) == pytest.approx(
+        (5.0, math.pi)
+    )
+
+
+def test_accumulations_keep_single_peaks(tmp_path):
+    votes = np.zeros((3142, 1600))
+    votes[1571, 1200] = 7.0
+    height, theta, rho = _coarse(votes, 4.0)
+    assert height.max() == 7.0
+    assert (height > 0).sum() == 1
+    j, i = np.argwhere(height > 0)[0]
+    assert theta[j] <= math.pi / 2 * 1.001
+    assert theta[j + 1] >= math.pi / 2 * 0.999
+    assert rho[i] <= 2.0 < rho[i + 1] + 1e-9
+    panels = {"one": votes, "none": np.zeros((90, 100)), "jax": jnp.ones((20, 30))}
+    figure = plots.accumulations(panels, 4000.0, title="votes", marks=[(2000.0, 1.57)])
+    assert [axes.get_title(loc="left") for axes in figure.axes] == list(panels)
+    assert figure.axes[0].get_xlim() == (-4.0, 4.0)
+    assert [len(axes.get_lines()) for axes in figure.axes] == [2, 2, 2]
+    draw(figure, tmp_path)
+    draw(plots.accumulations({}, 4000.0), tmp_path)
+
+
+def test_run_times_show_methods_and_the_paper(tmp_path):
+    figure = plots.run_times([10, 56], {"joint": [4e-3, 2e-2], "mine": [1e-3, 2e-3]}, {"joint": 1})
+    axes = figure.axes[0]
+    assert axes.get_yscale() == "log"
+    assert legend(figure) == ["joint", "mine", "the paper, on its machine"]
+    np.testing.assert_allclose(axes.get_lines()[0].get_ydata(), [4e-3, 2e-2])
+    low, high = axes.get_ylim()
+    assert low < 1e-3 < 1 < high
+    draw(figure, tmp_path)
+    draw(plots.run_times([], {}), tmp_path)
+
+
+def test_scores_place_every_share(tmp_path):
+    shares = {
+        "standard": {"I": (1.0, 0.99, 1.0), "IV": (0.1, 0.05, 0.16)},
+        "joint": {"I": (1.0, 0.99, 1.0), "IV": (0.95, 0.93, 0.97)},
+    }
+    figure = plots.scores(shares, title="all found", marks={"IV": 0.9})
+    axes = figure.axes[0]
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["I", "IV"]
+    assert legend(figure) == ["standard", "joint", "wanted"]
+    assert len(axes.containers) == 2
+    np.testing.assert_allclose(axes.containers[1].lines[0].get_ydata(), [100.0, 95.0])
+    assert axes.get_ylim() == (0.0, 100.0)
+    draw(figure, tmp_path)
+    draw(plots.scores({}), tmp_path)
+
+
+def test_a_method_has_one_colour_in_all_figures():
+    times = plots.run_times([1, 2], {"joint": [1.0, 2.0]})
+    both = plots.scores({"standard": {"I": (0.5, 0.4, 0.6)}, "joint": {"I": (0.5, 0.4, 0.6)}})
+    colour = both.axes[0].containers[1].lines[0].get_color()
+    assert colour == times.axes[0].get_lines()[0].get_color()
+    assert colour != both.axes[0].containers[0].lines[0].get_color()

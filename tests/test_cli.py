@@ -1,0 +1,319 @@
+"""The command line: good files, broken files, wrong options, and what it prints."""
+
+import csv
+import math
+import pathlib
+import subprocess
+import sys
+import types
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from jaxtrack.cli import main
+
+EXAMPLE = pathlib.Path(__file__).parents[1] / "notebooks" / "radar_example.csv"
+LAST_DOTS = np.array([[-7248.0, 26643.0], [-17794.0, 14169.0], [-16459.0, 28155.0]])
+QUICK = ("--sigma-m", "50", "--false-per-run", "0.5")
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch, capsys):
+    """Return a runner `run(*arguments) -> (exit code, stdout, stderr)` in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "120")
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        code = main([str(argument) for argument in arguments])
+        out, err = capsys.readouterr()
+        assert "Traceback" not in out + err
+        return code, out, err
+
+    return run
+
+
+def rows_of(path: str) -> list[dict[str, str]]:
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_initiate_writes_tracks_table_and_figure(run):
+    code, out, err = run("initiate", EXAMPLE, *QUICK, "--figure", "tracks.png")
+    assert (code, err) == (0, "")
+    rows = rows_of("tracks.csv")
+    assert len(rows) >= 3
+    found = np.array([[float(row["x_m"]), float(row["y_m"])] for row in rows])
+    away = np.linalg.norm(found[:, None] - LAST_DOTS[None], axis=-1)
+    assert (away.min(axis=0) < 150.0).all()
+    # The three targets have the highest scores, and all of them move at 280 m/s.
+    for row in rows[:3]:
+        speed = math.hypot(float(row["vx_m_s"]), float(row["vy_m_s"]))
+        assert 270.0 < speed < 290.0
+        assert float(row["time_s"]) == 1_700_000_060.0
+        assert row["stage"] == "tentative"
+    assert "gate " in out
+    assert "20 scenes without targets" in out
+    for heading in ("x, m", "y, m", "speed, m/s", "course, °", "sigma, m", "score", "looks"):
+        assert heading in out
+    assert "281." in out
+    figure = pathlib.Path("tracks.png").read_bytes()
+    assert figure.startswith(b"\x89PNG")
+    assert len(figure) > 20_000
+
+
+def test_exactly_three_tracks_at_a_rare_false_track(run):
+    code, _, _ = run("initiate", EXAMPLE, "--sigma-m", "50", "--false-per-run", "0.05")
+    assert code == 0
+    assert len(rows_of("tracks.csv")) == 3
+
+
+def test_byte_order_mark_line_ends_and_semicolons_change_nothing(run):
+    assert run("initiate", EXAMPLE, *QUICK)[0] == 0
+    plain = pathlib.Path("tracks.csv").read_bytes()
+    text = EXAMPLE.read_text().replace(",", ";").replace("\n", "\r\n")
+    pathlib.Path("windows.csv").write_bytes(b"\xef\xbb\xbf" + text.encode())
+    assert run("initiate", "windows.csv", *QUICK)[0] == 0
+    assert pathlib.Path("tracks.csv").read_bytes() == plain
+
+
+def test_polar_file_far_from_zero_keeps_compass_axes(run):
+    lines = ["time_s,range_m,bearing_deg,own_x_m,own_y_m"]
+    for k in range(6):  # due east at 200 m/s, 1 km north of a ship at a UTM position
+        east = 200.0 * 2 * k
+        bearing = math.degrees(math.atan2(east, 1000.0))
+        lines.append(f"{2 * k},{math.hypot(east, 1000.0):.3f},{bearing:.6f},5934000,565000")
+    pathlib.Path("polar.csv").write_text("\n".join(lines))
+    code, out, _ = run("initiate", "polar.csv", "--false-per-run", "1", "--figure", "t.png")
+    assert code == 0
+    row = rows_of("tracks.csv")[0]
+    assert float(row["north_m"]) == pytest.approx(5935000.0, abs=5.0)
+    assert float(row["east_m"]) == pytest.approx(567000.0, abs=5.0)
+    assert "north, m" in out
+    assert " 90.0 " in out
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("time_s,x_m,y_m\n5,1,2\n", "one look starts no track"),
+        ("time_s,x_m,y_m\n0,,\n2,,\n", "there are no detections"),
+    ],
+)
+def test_one_look_or_no_detection_is_an_empty_table(run, text, why):
+    pathlib.Path("few.csv").write_text(text)
+    code, out, err = run("initiate", "few.csv", "--figure", "few.png")
+    assert code == 0
+    assert "no tracks" in out
+    assert err == f"note: {why}\n"
+    assert pathlib.Path("tracks.csv").read_text().startswith("time_s,identity,stage,x_m,y_m")
+    assert rows_of("tracks.csv") == []
+    assert pathlib.Path("few.png").stat().st_size > 2000
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "empty file"),
+        ("time_s,x_m,y_m\n", "no rows"),
+        ("time_s,x_m\n0,1\n", "want column y_m"),
+        ("time_s,x_m,y_m\n0,nan,2\n", "row 2, column x_m: got nan"),
+        ("time_s,x_m,y_m\n0,one,2\n", "row 2, column x_m: got 'one'"),
+        ("time_s,x_m,y_m\n2,1,2\n1,1,2\n", "row 3, column time_s: got 1 after 2"),
+        ("time_s,x_m,y_m,sigma_m\n0,1,2,-3\n", "column sigma_m: got -3"),
+        ("time_s,x_m,y_m,wieght\n0,1,2,1\n", "unknown column"),
+        ("time_s,x_m,y_m\n0,1\n", "got 2 cells"),
+    ],
+)
+def test_broken_files_are_one_clear_line(run, text, message):
+    pathlib.Path("broken.csv").write_text(text)
+    code, out, err = run("initiate", "broken.csv")
+    assert (code, out) == (2, "")
+    assert err.startswith("jaxtrack: broken.csv")
+    assert err.count("\n") == 1
+    assert message in err
+    assert not pathlib.Path("tracks.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--sigma-m", "-5"), "sigma_m: got -5"),
+        (("--sigma-m", "nan"), "sigma_m: got nan"),
+        (("--speed-min-m-s", "500"), "speed_max_m_s: got 400, want more than speed_min_m_s, 500"),
+        (("--false-per-run", "0"), "false_per_run: got 0"),
+        (("--false-per-run", "-1"), "false_per_run: got -1"),
+        (("--p-detect", "1.5"), "p_detect: got 1.5"),
+        (("--max-tracks", "0"), "max_tracks: got 0"),
+        (("--seed", "-1"), "seed: got -1"),
+        (("--figure", "tracks.doc"), "--figure: got tracks.doc"),
+        (("--out", "no/such/tracks.csv"), "there is no folder"),
+        (("--out", "."), "."),
+    ],
+)
+def test_wrong_options_are_one_clear_line(run, options, message):
+    # A single look costs no computation; the options are checked all the same.
+    pathlib.Path("one.csv").write_text("time_s,x_m,y_m\n5,1,2\n")
+    code, out, err = run("initiate", "one.csv", *options)
+    assert (code, out) == (2, "")
+    assert err.startswith("jaxtrack: ")
+    assert err.count("\n") == 1
+    assert message in err
+
+
+def test_missing_file_and_folder_in_place_of_a_file(run, tmp_path):
+    for name in ("nope.csv", str(tmp_path)):
+        code, _, err = run("initiate", name)
+        assert code == 2
+        assert err.startswith(f"jaxtrack: {name}: ")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (),
+        ("dance",),
+        ("initiate",),
+        ("initiate", "x.csv", "--method", "magic"),
+        ("initiate", "a", "b"),
+    ],
+)
+def test_wrong_commands_exit_with_two(run, arguments):
+    code, _, err = run(*arguments)
+    assert code == 2
+    assert err.strip()
+
+
+def test_help_tells_units(run):
+    code, out, _ = run("initiate", "--help")
+    assert code == 0
+    for words in ("m/s", "standard deviation", "--false-per-run", "--bearing"):
+        assert words in out
+
+
+class FakeContext(NamedTuple):
+    out: pathlib.Path
+    trials: int
+    seed: int
+    console: object
+    progress: object
+
+
+class FakeStudy(NamedTuple):
+    name: str
+    title: str
+    source: str
+    trials_short: int
+    trials_full: int
+    seconds_short: float
+    seconds_full: float
+    run: object
+
+
+@pytest.fixture
+def studies(monkeypatch):
+    """Put two small studies in the place of the real ones; return the contexts they saw."""
+    seen = []
+
+    def work(context):
+        context.progress("scenes", 1, 2)
+        context.console.print("a table")
+        (context.out / "table.txt").write_text("1")
+        seen.append(context)
+
+    def interrupted(context):
+        raise KeyboardInterrupt
+
+    module = types.ModuleType("jaxtrack.studies")
+    good = FakeStudy("nht", "Track initiation", "A paper", 50, 5000, 9.0, 540.0, work)
+    bad = good._replace(name="stop", run=interrupted)
+    module.STUDIES = {"nht": good, "stop": bad}  # pyright: ignore
+    module.Context = FakeContext  # pyright: ignore
+    monkeypatch.setitem(sys.modules, "jaxtrack.studies", module)
+    return seen
+
+
+def test_list_tells_trials_and_seconds(run, studies):
+    code, out, _ = run("list")
+    assert code == 0
+    line = next(line for line in out.splitlines() if line.startswith("nht"))
+    for cell in ("Track initiation", "A paper", "50", "5,000", "9", "540"):
+        assert cell in line
+
+
+def test_reproduce_gives_each_study_its_folder_seed_and_trials(run, studies):
+    code, out, err = run("reproduce", "nht", "--seed", "7")
+    assert (code, err) == (0, "")
+    assert (studies[0].trials, studies[0].seed) == (50, 7)
+    assert pathlib.Path("results/nht/table.txt").read_text() == "1"
+    for words in ("seed 7", "jaxtrack ", "jax ", "numpy ", "Python ", "device", "a table"):
+        assert words in out
+    assert run("reproduce", "nht", "--trials", "3", "--out", "elsewhere")[0] == 0
+    assert (studies[1].trials, studies[1].out) == (3, pathlib.Path("elsewhere/nht"))
+
+
+def test_reproduce_full_says_how_long_it_takes(run, studies):
+    code, out, _ = run("reproduce", "nht", "--full")
+    assert code == 0
+    assert studies[0].trials == 5000
+    assert "9 minutes" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("magic",), "there is no study magic; there are: nht, stop"),
+        (("nht", "--trials", "0"), "--trials: got 0"),
+        (("nht", "--trials", "5", "--full"), "want one of them"),
+        (("nht", "--seed", "-1"), "--seed: got -1"),
+        (("nht", "--out", "taken"), "taken"),
+    ],
+)
+def test_reproduce_rejects(run, studies, arguments, message):
+    pathlib.Path("taken").write_text("a file, not a folder")
+    code, _, err = run("reproduce", *arguments)
+    assert code == 2
+    assert err.startswith("jaxtrack: ")
+    assert message in err
+    assert studies == []
+
+
+def test_an_interrupt_ends_with_130(run, studies):
+    code, _, err = run("reproduce")
+    assert code == 130
+    assert len(studies) == 1  # the study before it is kept
+    assert err == "jaxtrack: interrupted\n"
+
+
+@pytest.mark.parametrize("package", ["tyro", "rich", "matplotlib"])
+def test_a_missing_extra_is_one_line(run, monkeypatch, package):
+    for name in [name for name in sys.modules if name.partition(".")[0] == package]:
+        monkeypatch.delitem(sys.modules, name)
+    for name in [name for name in sys.modules if name.startswith("jaxtrack.plots")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.delattr("jaxtrack.plots", raising=False)
+    monkeypatch.setitem(sys.modules, package, None)
+    code, _, err = run("initiate", EXAMPLE, "--figure", "tracks.png")
+    assert code == 2
+    assert err.count("\n") == 1
+    assert "pip install 'jaxtrack[studies,plots]'" in err
+
+
+def test_the_process_uses_every_core_and_float32(tmp_path):
+    program = (
+        "import os, sys, jax\n"
+        "from jaxtrack.cli import main\n"
+        "code = main(sys.argv[1:])\n"
+        "assert len(jax.devices()) == len(os.sched_getaffinity(0))\n"
+        "assert not jax.config.jax_enable_x64\n"
+        "sys.exit(code)\n"
+    )
+    arguments = ["initiate", EXAMPLE, *QUICK, "--out", tmp_path / "tracks.csv"]
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", program, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert len(rows_of(str(tmp_path / "tracks.csv"))) >= 3
