@@ -25,7 +25,6 @@ def main() -> None:
         recorded.truth,
         tracks,
         smoothed_m=info.smoothed_m,
-        title="Three radar targets among ten false detections a look, and the tracks found",
     )
     figure.savefig(pathlib.Path(__file__).with_name("picture.png"), dpi=110)
 

@@ -17,17 +17,16 @@ matplotlib along, which an estimator does without.
 
 Example:
     >>> import jax
-    >>> from jaxtrack import hough, models, monte_carlo, sensors
-    >>> scene = sensors.crossing_targets("II")
-    >>> sensor = models.PositionSensor(p_detect=0.99, clutter_per_m2=1e-6, sigma_m=10.0)
-    >>> def tracks_found(key, params):
+    >>> from jaxtrack import hough, monte_carlo, sensors
+    >>> scene = sensors.crossing_targets("I")
+    >>> def lines_found(key, gate):
     ...     scans = sensors.observe(key, scene.truth, scene.radar, detections=4)
-    ...     sizes = hough.joint.JointSizes(hypotheses=128, candidates=32, starts=4)
-    ...     tracks, info = hough.joint.estimate(scans, params, sizes=sizes)
-    ...     return tracks.mask.sum()
-    >>> run = monte_carlo(tracks_found, jax.random.key(0), 64, hough.joint.JointParams(sensor))
-    >>> print(f"{run.mean:.1f} of 3 targets")
-    3.0 of 3 targets
+    ...     params = hough.improved.ImprovedParams(peaks=hough.Peaks(gate=gate))
+    ...     lines, info = hough.improved.estimate(scans, params, sizes=hough.Sizes(pairs=16))
+    ...     return lines.mask.sum()
+    >>> run = monte_carlo(lines_found, jax.random.key(0), trials=100, params=4.0)
+    >>> print(f"{run.mean:.1f} lines of 3 targets")
+    3.0 lines of 3 targets
 """
 
 import importlib

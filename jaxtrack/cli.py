@@ -140,12 +140,13 @@ def list_studies() -> int:
 
     from jaxtrack.studies import STUDIES
 
-    table = Table("name", "study", "source", box=None, pad_edge=False)
-    for title in ("trials", "seconds", "trials, full", "seconds, full"):
-        table.add_column(title, justify="right")
+    table = Table("name", "study, source", box=None, pad_edge=False)
+    for title in ("trials", "seconds", "trials\nin full", "seconds\nin full"):
+        table.add_column(title, justify="right", no_wrap=True)
     for study in STUDIES.values():
         numbers = (study.trials_short, study.seconds_short, study.trials_full, study.seconds_full)
-        table.add_row(study.name, study.title, study.source, *(f"{x:,.0f}" for x in numbers))
+        what = f"{study.title}\n{study.source}"
+        table.add_row(study.name, what, *(f"{x:,.0f}" for x in numbers))
     Console().print(table)
     return 0
 

@@ -237,8 +237,9 @@ def test_list_tells_trials_and_seconds(run, studies):
     code, out, _ = run("list")
     assert code == 0
     line = next(line for line in out.splitlines() if line.startswith("nht"))
-    for cell in ("Track initiation", "A paper", "50", "5,000", "9", "540"):
+    for cell in ("Track initiation", "50", "5,000", "9", "540"):
         assert cell in line
+    assert "A paper" in out
 
 
 def test_reproduce_gives_each_study_its_folder_seed_and_trials(run, studies):

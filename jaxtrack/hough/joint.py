@@ -101,6 +101,7 @@ def estimate(
         weight=jnp.where(counts, weight, 0.0),
     )
     fixed, fixed_sensor = jax.lax.stop_gradient((scans, sensor))
+    whole = jnp.asarray(fixed.weight)
 
     start, there, overflow = distant_pairs(
         fixed, params.speed, gap=sizes.gap, hypotheses=sizes.hypotheses
@@ -122,31 +123,31 @@ def estimate(
     def pick(left: Array, _: None) -> tuple[Array, tuple[Array, Array]]:
         rest = fixed._replace(weight=left)
         score = jnp.where(there, observation.scores(start, rest, wide), -jnp.inf)
-        _, first = jax.lax.top_k(score, min(sizes.starts, score.shape[0]))
+        first = jax.lax.top_k(score, min(sizes.starts, score.shape[0]))[1]
         states = jax.vmap(lambda x: climb(x, rest))(start[first])
         score = jnp.where(there[first], observation.scores(states, rest, fixed_sensor), -jnp.inf)
         top = jnp.argmax(score)
         return left * (1 - claim(states[top], left)), (states[top], score[top])
 
-    _, (states, picked) = jax.lax.scan(pick, fixed.weight, length=sizes.tracks)
+    _, (states, picked) = jax.lax.scan(pick, whole, length=sizes.tracks)
 
     # Only what passes the gate may take detections away from the others.
     real = (picked >= gate).astype(dtype)[:, None, None]
 
     def refit(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
         states, free = carry
-        claims = real * jax.vmap(claim)(states, fixed.weight[None] * free)
+        claims = real * jax.vmap(claim)(states, whole[None] * free)
         share = safe_divide(claims**2, claims.sum(0, keepdims=True))
         free = 1 - (share.sum(0, keepdims=True) - share)
         refine = lambda x, w: observation.refine(x, fixed._replace(weight=w), fixed_sensor)
-        return (jax.vmap(refine)(states, fixed.weight[None] * free), free), None
+        return (jax.vmap(refine)(states, whole[None] * free), free), None
 
     begin = states, jnp.ones((sizes.tracks, *counts.shape), dtype)
     (states, free), _ = jax.lax.scan(refit, begin, length=_REFITS)
 
     def finish(state: Array, free: Array) -> tuple[Array, Array, Array]:
         def total(state: Array, scans: Scan, sensor: PositionSensor) -> Array:
-            seen = scans._replace(weight=scans.weight * free)
+            seen = scans._replace(weight=jnp.asarray(scans.weight) * free)
             one = lambda x, scan: observation.log_likelihood_ratio(x, scan, sensor)
             return jax.vmap(one)(_along(state, scans), seen).sum()
 
@@ -165,7 +166,7 @@ def estimate(
     keep = (score >= gate) & jnp.isfinite(picked)
     order = jnp.argsort(jnp.where(keep, -score, jnp.inf))
     mean, covariance, score, keep, free = (x[order] for x in (mean, covariance, score, keep, free))
-    claims = jax.vmap(claim)(jax.lax.stop_gradient(mean), fixed.weight[None] * free)
+    claims = jax.vmap(claim)(jax.lax.stop_gradient(mean), whole[None] * free)
     clear = lambda x: jnp.where(keep.reshape(-1, *(1,) * (x.ndim - 1)), x, 0)
     tracks = Tracks(
         time_s=scans.time_s[-1],

@@ -47,7 +47,7 @@ def detection_times(scans: Scan) -> Array:
     time = jnp.broadcast_to(time[:, None], scans.mask.shape)
     if scans.delay_s is None:
         return time
-    return time + jnp.where(scans.mask, scans.delay_s, 0.0)
+    return time + jnp.where(scans.mask & scans.valid[:, None], scans.delay_s, 0.0)
 
 
 def candidate_pairs(scans: Scan, origin_m: Array, speed: SpeedGate | None, *, pairs: int) -> Pairs:

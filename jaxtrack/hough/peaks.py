@@ -85,8 +85,8 @@ def extract(
         shift = lambda d: safe_divide((near * jnp.where(votes.mask, d, 0.0)).sum(), near.sum())
         return wrap_line(rho - shift(d_rho), theta - shift(d_theta))
 
-    refined = jax.vmap(refine)(rho[picked], theta[picked])
-    return _lines(*refined, value[picked], found, grid, peaks)
+    rho, theta = jax.vmap(refine)(rho[picked], theta[picked])
+    return _lines(rho, theta, value[picked], found, grid, peaks)
 
 
 def extract_dense(accumulator: Array, grid: Grid, peaks: Peaks, *, sizes: Sizes) -> Lines:
@@ -119,8 +119,8 @@ def extract_rows(
         peaks: separation (below π/2 in θ) and gate.
         sizes: how many cells and lines.
     """
-    rho_step, theta_step = steps(grid, sizes, jnp.result_type(float))
-    dtype = rho_step.dtype
+    dtype = jax.eval_shape(votes, jnp.zeros(1, jnp.int32)).dtype
+    rho_step, theta_step = steps(grid, sizes, dtype)
     rows_apart = jnp.floor(jnp.asarray(peaks.separation_theta_rad, dtype) / theta_step)
     cells_apart = jnp.floor(jnp.asarray(peaks.separation_rho_m, dtype) / rho_step)
     rows_apart = jnp.minimum(rows_apart, sizes.theta // 2 - 1).astype(jnp.int32)
@@ -182,7 +182,8 @@ def extract_rows(
         d = near.astype(dtype)
         return wrap_line(rho + shift(d[None, :] * rho_step), theta + shift(d[:, None] * theta_step))
 
-    return _lines(*jax.lax.map(lambda c: refine(*c), (i, j)), value, value > 0, grid, peaks)
+    rho, theta = jax.lax.map(lambda cell: refine(*cell), (i, j))
+    return _lines(rho, theta, value, value > 0, grid, peaks)
 
 
 def smooth(accumulator: Array, *, sizes: Sizes) -> Array:

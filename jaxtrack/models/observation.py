@@ -9,7 +9,8 @@ An `Observation` bundles what the joint vote (`hough.joint`) asks of a sensor; `
 bundle for sensors that report positions. Another sensor brings another bundle.
 """
 
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -37,26 +38,10 @@ class Observation(NamedTuple):
     """
 
     log_likelihood_ratio: LogLikelihoodRatio
-    scores: "Scores"
+    scores: Callable[[Array, Any, Any], Array]
     responsibility: LogLikelihoodRatio
-    refine: LogLikelihoodRatio
-    blur: "Blur"
-
-
-class Scores(Protocol):
-    """Scores of many states."""
-
-    def __call__(self, states: Array, scans: Any, sensor: Any) -> Array:
-        """Return the window's log-likelihood ratio for every state, [H]."""
-        ...
-
-
-class Blur(Protocol):
-    """A wider sensor."""
-
-    def __call__(self, sensor: Any, factor: Array) -> Any:
-        """Return the sensor with its noise multiplied."""
-        ...
+    refine: Callable[[Array, Any, Any], Array]
+    blur: Callable[[Any, Array | float], Any]
 
 
 def position_log_likelihood_ratio(state: Array, scan: Scan, params: PositionSensor) -> Array:
@@ -173,7 +158,7 @@ def position_refine(state: Array, scans: Scan, params: PositionSensor) -> Array:
     return jnp.stack([x, y, vx, vy])
 
 
-def blur_position(params: PositionSensor, factor: Array) -> PositionSensor:
+def blur_position(params: PositionSensor, factor: Array | float) -> PositionSensor:
     """Return a sensor with its own sigma multiplied (a scan's covariances stay)."""
     return params._replace(sigma_m=jnp.asarray(params.sigma_m) * factor)
 

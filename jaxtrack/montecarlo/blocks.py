@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from jaxtrack.montecarlo.advice import warn_of_stalls
 from jaxtrack.numerics import checks
 from jaxtrack.types import Key
 
@@ -126,11 +127,12 @@ def _block_program(
     everywhere, by_device = PartitionSpec(), PartitionSpec("trial")
 
     def local(key: Key, params: Any, span: jax.Array) -> Any:
-        # The inner jit is inlined; it is there so that finding out the shapes and filling the loop
+        # The inner jit is inlined; it is there so that looking at the program and filling the loop
         # trace fn once, not twice.
         run = jax.jit(functools.partial(run_micro_batch, plan), inline=True)
-        shapes = jax.eval_shape(run, key, params, span[0])
+        jaxpr, shapes = jax.make_jaxpr(run, return_shape=True)(key, params, span[0])
         check_outputs(shapes)
+        warn_of_stalls(jaxpr.jaxpr, devices)
         step_bytes = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(shapes))
         most_steps = min(max(_BLOCK_BYTES // max(step_bytes, 1), 1), _BLOCK_STEPS)
 
@@ -156,5 +158,4 @@ def _block_program(
     program = jax.shard_map(
         local, mesh=mesh, in_specs=everywhere, out_specs=by_device, check_vma=False
     )
-    options = {"xla_disable_hlo_passes": "cpu-parallel-task-assigner"} if devices[0].platform == "cpu" else None
-    return jax.jit(program, compiler_options=options), NamedSharding(mesh, everywhere)
+    return jax.jit(program), NamedSharding(mesh, everywhere)

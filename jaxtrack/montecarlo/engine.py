@@ -1,8 +1,6 @@
 """Thousands of independent trials of one function, in one compiled program of fixed shape."""
 
 import functools
-import os
-import warnings
 from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 
@@ -10,12 +8,12 @@ import jax
 import jax.core
 import jax.numpy as jnp
 
+from jaxtrack.montecarlo.advice import warn_of_idle_cores
 from jaxtrack.montecarlo.blocks import Plan, check_outputs, run_in_blocks, run_micro_batch
 from jaxtrack.montecarlo.statistics import mean_and_error
 from jaxtrack.numerics import checks
 from jaxtrack.types import Key
 
-_MANY_TRIALS = 10_000  # from here on, idle cores are worth a warning
 _LAST_TRIAL = 2**32 - 1  # `fold_in` takes 32 bits
 
 
@@ -111,7 +109,7 @@ def monte_carlo(
     if _is_traced(key, params):
         rows = _run_traced(plan, key, params, batches)
     else:
-        _warn_of_idle_cores(trials)
+        warn_of_idle_cores(trials)
         rows = run_in_blocks(plan, key, params, batches, report)
 
     axis = int(plan.batch_params)
@@ -166,17 +164,3 @@ def _check_batch(params: Any) -> None:
     if len(lengths) != 1 or lengths == {0}:
         got = ", ".join(str(list(shape)) for shape in shapes) or "no leaves"
         raise ValueError(f"params: got shapes {got}, want one leading axis [P] on every leaf")
-
-
-def _warn_of_idle_cores(trials: int) -> None:
-    devices = jax.local_devices()
-    if trials < _MANY_TRIALS or len(devices) > 1 or devices[0].platform != "cpu":
-        return
-    affinity = getattr(os, "sched_getaffinity", None)  # not on every system
-    cores = len(affinity(0)) if affinity else os.cpu_count() or 1
-    if cores > 1:
-        warnings.warn(
-            f"monte_carlo runs on one CPU device although there are {cores} cores: call "
-            f'jax.config.update("jax_num_cpu_devices", {cores}) before anything else uses JAX',
-            stacklevel=3,
-        )

@@ -6,9 +6,10 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from jaxtrack.plots.style import COLOURS, INK, WIDTH_IN, style
+from jaxtrack.plots.style import COLOURS, FAINT, INK, WIDTH_IN, style
 
 _BARS = 48  # along each axis; more cannot be told apart on a page
 
@@ -69,16 +70,17 @@ def _panel(
     axes.set(xlim=(-rho_max, rho_max), ylim=(0, np.pi), zlim=(0, 1.15 * top))
     axes.set_yticks([0, np.pi / 2, np.pi], ["0", "π/2", "π"])
     axes.locator_params(axis="x", nbins=5)
-    axes.locator_params(axis="z", nbins=5)
+    axes.zaxis.set_major_locator(MaxNLocator(5))
     axes.set_xlabel("ρ, km", labelpad=0)
     axes.set_ylabel("θ, rad", labelpad=0)
     axes.set_zlabel("votes", labelpad=0)
     axes.tick_params(labelsize=8, pad=0, color=INK, labelcolor=INK)
     axes.view_init(elev=28, azim=-58)
-    axes.set_box_aspect((1.25, 1.25, 0.8), zoom=1.05)
-    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):  # type: ignore[attr-defined]
-        axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
-        axis._axinfo["grid"].update(color="#DDDDDD", linewidth=0.5)
+    axes.set_box_aspect((1.25, 1.25, 0.8), zoom=1.05)  # pyright: ignore[reportArgumentType]
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.set_pane_color((1.0, 1.0, 1.0, 0.0))  # pyright: ignore[reportAttributeAccessIssue]
+        # There is no public way to colour the grid of one three-dimensional figure.
+        axis._axinfo["grid"].update(color=FAINT, linewidth=0.5)  # pyright: ignore
     axes.set_title(name, loc="left", x=0.08, y=0.9)
 
 

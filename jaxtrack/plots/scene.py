@@ -53,6 +53,8 @@ def scene(
     shown: list[np.ndarray] = []
     with style():
         figure = Figure(figsize=(WIDTH_IN, 4.5), layout="constrained")
+        # Axes of fixed proportions may grow into the title by a few dots.
+        figure.get_layout_engine().set(h_pad=0.1)  # type: ignore[union-attr, call-arg]
         plane = figure.add_subplot()
         if scans is not None:
             shown.append(_detections(figure, plane, scans, km))

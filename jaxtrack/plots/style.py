@@ -5,7 +5,6 @@ from contextlib import AbstractContextManager
 
 import matplotlib
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 # Okabe and Ito's palette, from the most to the least contrast against white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -24,8 +23,7 @@ def style() -> AbstractContextManager[None]:
 
     Example:
         >>> with style():
-        ...     figure = Figure()
-        >>> print(figure.dpi)
+        ...     print(matplotlib.rcParams["figure.dpi"])
         150.0
     """
     return matplotlib.rc_context(
@@ -59,7 +57,7 @@ def looks_of(methods: Iterable[str]) -> dict[str, tuple[str, str]]:
 
     Example:
         >>> looks_of(["joint", "mine"])
-        {'joint': ('#D55E00', 's'), 'mine': ('#009E73', '^')}
+        {'joint': ('#D55E00', 's'), 'mine': ('#0072B2', 'o')}
     """
     methods = list(methods)
     taken = [_METHOD_LOOKS[name] for name in methods if name in _METHOD_LOOKS]

@@ -1,7 +1,7 @@
-"""One trial of the study `nht`: a scene is simulated once, and every method looks at the same scans.
+"""One trial of the study `nht`: a scene is simulated once, and every method sees the same scans.
 
-All methods that share static sizes form one compiled program; noise, clutter, truth, grid and
-tolerances are traced, so that situations, target-free scenes and real data need no other.
+All methods of one shape form one compiled program; noise, clutter, truth, grid and tolerances are
+traced, so situations, scenes without targets and added noise need no other.
 """
 
 import functools
@@ -12,50 +12,59 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack.hough import Grid, Peaks, Sizes, improved, joint, modified, neutrosophic, standard
-from jaxtrack.models.observation import PositionSensor
+from jaxtrack.models import PositionSensor
 from jaxtrack.sensors import Radar, observe
 from jaxtrack.studies.nht_words import target_votes
 from jaxtrack.types import Array, Key, Lines, Scan, Truth
 
-LINES = 8
-SMOOTH = 2  # cells
-TARGETS = 3
-# Methods whose votes land in cells come with raw and with smoothed peaks; the others in one form.
-VARIANTS = (
-    ("HT", "raw"),
-    ("HT", "smoothed"),
-    ("MHT", "raw"),
-    ("MHT", "smoothed"),
-    ("IHT", "raw"),
-    ("IHT", "smoothed"),
-    ("NHT", "raw"),
-    ("NHT", "smoothed"),
-    ("NHT spread", "raw"),
-    ("NHT wide", "raw"),
-    ("NHT cov", "raw"),
-    ("joint", "raw"),
-)
-METHODS = tuple(dict.fromkeys(method for method, _ in VARIANTS))
+LINES = 8  # that every method may report
+SMOOTH = 2  # cells, of the smoothed peaks
 PEAKS = ("raw", "smoothed")
-DENSE = ("HT",)  # traverses the whole parameter space
-PAIRED = METHODS[1:]
+
+# Methods whose votes land in cells come with raw and with smoothed peaks, the others in one form.
+FORMS = {
+    "HT": PEAKS,
+    "MHT": PEAKS,
+    "IHT": PEAKS,
+    "NHT": PEAKS,
+    "NHT spread": PEAKS[:1],
+    "NHT wide": PEAKS[:1],
+    "NHT cov": PEAKS[:1],
+    "joint": PEAKS[:1],
+}
+METHODS = tuple(FORMS)
+DENSE, PAIRED = METHODS[:1], METHODS[1:]
+
+_RULES = {
+    "NHT": neutrosophic.Rules("own_cell"),
+    "NHT spread": neutrosophic.Rules("spread"),
+    "NHT wide": neutrosophic.Rules("spread"),
+    "NHT cov": neutrosophic.Rules("spread", "covariance"),
+}
 
 
 class Shape(NamedTuple):
-    """Static sizes of a table of programs, far above the largest seen in 100 runs."""
+    """Static sizes of one table of programs."""
 
-    name: str
     detections: int  # a look
-    pairs: int  # all pairs of an interval
-    gated_pairs: int  # those of admissible speed
+    pairs: int  # of an interval
+    gated_pairs: int  # of them with an admissible speed
     predecessors: int
     hypotheses: int
     rho: int = 1600  # cells of 5 m
-    candidates: int = 128  # parameter points whose votes are counted
+    candidates: int = 256  # parameter points at which votes are counted
+
+
+# Each well above the largest number of 100 runs; what does not fit is counted and reported.
+SHAPES = {
+    "10": Shape(32, 1024, 192, 24, 4096),
+    "56": Shape(96, 7168, 1536, 48, 32768),
+    "real": Shape(32, 1024, 192, 24, 4096, rho=6800),
+}
 
 
 class Inputs(NamedTuple):
-    """What is traced."""
+    """What one program is run with. Traced."""
 
     truth: Truth
     radar: Radar
@@ -67,67 +76,79 @@ class Inputs(NamedTuple):
     wide_rad: Array | float  # its ε_θ
 
 
-SHAPES = {
-    "10": Shape("10", 32, 1024, 192, 24, 4096),
-    "56": Shape("56", 96, 7168, 1536, 48, 32768),
-    "real": Shape("real", 32, 1024, 192, 24, 4096, rho=6800),
-}
-
-
 class Outcome(NamedTuple):
-    """What one trial of some methods gives."""
+    """What one trial gives, by method and form of the peaks."""
 
-    lines: dict[str, Lines]  # "method peaks" → [LINES], ungated but for the joint vote
-    overflow: dict[str, Array]
-    words: dict[str, dict[str, Array]]  # divergence and decline [TARGETS] by method
+    lines: dict[tuple[str, str], Lines]  # [LINES]; the joint vote's are above its gate
+    overflow: dict[tuple[str, str], Array]
+    divergence: dict[str, Array]  # [K] cells
+    decline: dict[str, Array]  # [K]
 
 
 @functools.cache
 def trial(shape: Shape, methods: tuple[str, ...]) -> Callable[[Key, Inputs], Outcome]:
-    """Return the function of one trial; the same object for the same arguments."""
+    """Return the function of one trial, the same object for the same arguments."""
 
     def run(key: Key, inputs: Inputs) -> Outcome:
         scans = observe(key, inputs.truth, inputs.radar, detections=shape.detections)
-        outcome = Outcome({}, {}, {})
+        lines, overflow = {}, {}
         for method in methods:
-            for label, (lines, overflow) in detect(method, scans, inputs, shape).items():
-                outcome.lines[label] = lines
-                outcome.overflow[label] = overflow
+            for form in FORMS[method]:
+                found, info = detect(method, inputs, shape, form)(scans)
+                lines[method, form] = found
+                overflow[method, form] = info.overflow
+        words: tuple[Any, Any] = ({}, {})
         if "NHT" in methods:
-            outcome.words.update(target_votes(scans, inputs.truth, _neutrosophic(inputs), _sizes(shape)))
-        return outcome
+            sizes = sizes_of(shape, "NHT", "raw")
+            words = target_votes(scans, inputs.truth, _neutrosophic(inputs, "NHT"), sizes)
+        return Outcome(lines, overflow, *words)
 
     return run
 
 
 def detect(
-    method: str, scans: Scan, inputs: Inputs, shape: Shape
-) -> dict[str, tuple[Lines, Array]]:
-    """Return the lines of one method, for each of its forms of peaks, and whether it overflowed."""
-    if method == "joint":
-        params = joint.JointParams(inputs.sensor, gate=inputs.joint_gate)
-        sizes = joint.JointSizes(hypotheses=shape.hypotheses)
-        tracks, info = joint.estimate(scans, params, sizes=sizes)
-        return {"joint raw": (_padded(joint.lines_of(tracks)), info.overflow)}
-    forms = [peaks for name, peaks in VARIANTS if name == method]
-    result = {}
-    for form in forms:
-        sizes = _sizes(shape, SMOOTH if form == "smoothed" else 0)
-        lines, info = estimator(method, inputs, sizes)(scans)
-        result[f"{method} {form}"] = (lines, info.overflow)
-    return result
-
-
-def estimator(method: str, inputs: Inputs, sizes: Sizes) -> Callable[[Scan], tuple[Lines, Any]]:
-    """Return one of the voting methods, ready for scans."""
+    method: str, inputs: Inputs, shape: Shape, form: str
+) -> Callable[[Scan], tuple[Lines, Any]]:
+    """Return one method, ready for scans: `scans -> (lines [LINES], info)`."""
+    sizes = sizes_of(shape, method, form)
     grid, peaks = inputs.grid, inputs.peaks
+    estimate: Callable[..., tuple[Lines, Any]]
+    if method == "joint":
+        return lambda scans: _joint(scans, inputs, shape)
     if method == "HT":
-        return lambda scans: standard.estimate(
-            scans, standard.StandardParams(grid, peaks), sizes=sizes
-        )
-    if method == "MHT":
-        return lambda scans: modified.estimate(
-            scans, modified.ModifiedParams(grid, peaks), sizes=sizes
-        )
-    gated = sizes._replace(pairs=sizes.pairs if method == "MHT" else sizes.pairs)
-    return lambda scans: improved.estimate(scans, improved.ImprovedParams(grid, peaks), sizes=gated)
+        estimate, params = standard.estimate, standard.StandardParams(grid, peaks)
+    elif method == "MHT":
+        estimate, params = modified.estimate, modified.ModifiedParams(grid, peaks)
+    elif method == "IHT":
+        estimate, params = improved.estimate, improved.ImprovedParams(grid, peaks)
+    else:
+        estimate = functools.partial(neutrosophic.estimate, rules=_RULES[method])
+        params = _neutrosophic(inputs, method)
+    return lambda scans: estimate(scans, params, sizes=sizes)
+
+
+def _joint(scans: Scan, inputs: Inputs, shape: Shape) -> tuple[Lines, joint.JointInfo]:
+    params = joint.JointParams(inputs.sensor, gate=inputs.joint_gate)
+    sizes = joint.JointSizes(hypotheses=shape.hypotheses)
+    tracks, info = joint.estimate(scans, params, sizes=sizes)
+    lines = joint.lines_of(tracks)
+    free = LINES - sizes.tracks
+    return jax.tree.map(lambda x: jnp.concatenate([x, jnp.zeros(free, x.dtype)]), lines), info
+
+
+def _neutrosophic(inputs: Inputs, method: str) -> neutrosophic.NeutrosophicParams:
+    params = neutrosophic.NeutrosophicParams(inputs.grid, inputs.peaks)
+    if method == "NHT wide":
+        return params._replace(eps_rho_m=inputs.wide_m, eps_theta_rad=inputs.wide_rad)
+    return params
+
+
+def sizes_of(shape: Shape, method: str, form: str) -> Sizes:
+    return Sizes(
+        lines=LINES,
+        pairs=shape.pairs if method == "MHT" else shape.gated_pairs,
+        predecessors=shape.predecessors,
+        candidates=shape.candidates,
+        rho=shape.rho,
+        smooth=SMOOTH if form == "smoothed" else 0,
+    )

@@ -1,7 +1,7 @@
 """Results on disk: labelled arrays as zarr groups, and a summary as JSON that says how they came.
 
-    results.zarr/<group>    one xarray Dataset a group
-    summary.json            seed, trials, versions, machine, verdicts and whatever the study adds
+results.zarr/<group>    one xarray Dataset a group
+summary.json            seed, trials, versions, machine, verdicts and whatever the study adds
 """
 
 import importlib.metadata

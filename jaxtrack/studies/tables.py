@@ -120,6 +120,14 @@ def marks_table(title: str, rows: Sequence[Row]) -> Table:
     return table
 
 
+def entry(row: Row) -> dict[str, Any]:
+    """Return a row as JSON can hold it, with its verdict."""
+    result = {"what": row.what, **row.ours._asdict(), "paper": row.paper}
+    if row.mark is not None:
+        result[">=" if row.mark.at_least else "<="] = row.mark.bound
+    return {**result, "verdict": verdict(row.ours, row.mark)}
+
+
 def grid_table(
     title: str, rows: Sequence[str], columns: Sequence[str], cells: Sequence[Sequence[str]]
 ) -> Table:
@@ -142,7 +150,13 @@ def number(value: float, unit: str = "") -> str:
     """
     if not np.isfinite(value):
         return "–"
-    text = f"{value:.3f}" if abs(value) < 1 else f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+    text = (
+        f"{value:.3f}"
+        if abs(value) < 1
+        else f"{value:.3g}"
+        if abs(value) < 1000
+        else f"{value:.0f}"
+    )
     if text.startswith(("0.", "-0.")) and abs(value) < 1:
         text = text.replace("0.", ".", 1)
     if unit == "rad":

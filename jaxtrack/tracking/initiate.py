@@ -14,6 +14,7 @@ from jaxtrack.filtering.rls import RlsInput, rls
 from jaxtrack.hough.pairs import SpeedGate, detection_times
 from jaxtrack.models.line import point_line_distance
 from jaxtrack.numerics.checks import check_size
+from jaxtrack.numerics.safe import safe_min
 from jaxtrack.types import Array, Lines, Scan, Stage, Tracks
 
 
@@ -104,7 +105,8 @@ def initiate(
         z, t = position[jnp.arange(looks), index], time[jnp.arange(looks), index]
         # Far from its true values the regression starts at the first detection, not at zero.
         first = z[jnp.argmax(mine)]
-        span = jnp.maximum(-time.min(), 1.0)
+        before = jnp.where(scans.valid, scans.time_s - scans.time_s[-1], 0.0)
+        span = jnp.maximum(-safe_min(before), 1.0)
         phi = jnp.stack([jnp.ones_like(t), t / span], axis=-1)
         fit = rls(regressors=2, dimensions=2, forgetting=params.forgetting, initial_variance=1e4)
         begin = jax.tree.map(lambda x: x.astype(dtype), fit.init(jax.random.key(0)))

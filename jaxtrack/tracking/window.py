@@ -125,7 +125,7 @@ def initiate_window(
     radar = Radar(*map(number, (0.0, sigma_m, field.detections_per_look, *field.corners_m)))
 
     trials = math.ceil(10.0 / false_per_run)
-    # Clutter seldom makes two tracks that pass: looking for three in a scene saves most of its time.
+    # Clutter seldom makes two tracks that pass: to look for three of them saves most of the time.
     fewer = sizes._replace(tracks=min(max_tracks, 3)) if isinstance(sizes, JointSizes) else sizes
     trial = _trial(method, fewer, field.most_detections)
     # The dense accumulator of one scene already fills the cache.

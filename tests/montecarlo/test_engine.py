@@ -295,6 +295,23 @@ def test_idle_cores_are_warned_of(monkeypatch):
     monte_carlo(trivial, jax.random.key(0), 10_000, 1.0)  # no core idle
 
 
+def test_linear_algebra_that_can_stall_xla_is_warned_of(monkeypatch):
+    def trial(key, params):
+        points = params + jax.random.normal(key, (30, 16, 16))
+        return jnp.linalg.cholesky(points @ points.mT + jnp.eye(16)[None])
+
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
+    monkeypatch.delenv("NPROC", raising=False)
+    devices = jax.local_device_count()
+    with pytest.raises(RuntimeWarning, match=f"devices: {devices}, .* NPROC={devices + 1} "):
+        monte_carlo(trial, jax.random.key(0), 1, 0.0)
+    run = monte_carlo(trial, jax.random.key(0), 1, 0.0, micro_batch=1)  # computed in one piece
+    assert run.values.shape == (1, 30, 16, 16)
+    monkeypatch.setenv("NPROC", str(devices + 1))
+    program, _ = blocks._block_program(blocks.Plan(trial, 32, False), tuple(jax.local_devices()))
+    jax.eval_shape(program, jax.random.key(0), 0.0, np.array([0, 0], np.uint32))  # no warning
+
+
 def test_errors_say_what_is_wanted():
     def trial(key, params):
         return jax.random.normal(key)

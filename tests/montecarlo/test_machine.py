@@ -41,12 +41,12 @@ def digest(values):
 
 key = jax.random.key(3)
 print(jax.local_device_count())
-for dtype in (np.float64, np.float32):
+for dtype, size in ((np.float64, 32), (np.float32, 4)):
     params = jnp.asarray(0.8, dtype)
-    run = monte_carlo(trial, key, 137, params)
+    run = monte_carlo(trial, key, 137, params, micro_batch=size)
     assert run.values["root"].dtype == dtype and run.values["root"].shape == (137, 6, 6)
-    head = monte_carlo(trial, key, 60, params).values
-    tail = monte_carlo(trial, key, 77, params, first_trial=60).values
+    head = monte_carlo(trial, key, 60, params, micro_batch=size).values
+    tail = monte_carlo(trial, key, 77, params, first_trial=60, micro_batch=size).values
     parts = jax.tree.map(lambda a, b: np.concatenate([a, b]), head, tail)
     print(digest(run.values), digest(parts), digest((run.mean, run.standard_error)))
 batch = monte_carlo(trial, key, 37, jnp.array([0.8, 1.2]), batch_params=True, micro_batch=8)
@@ -69,7 +69,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """
 
 
-def run_fresh(code, devices):
+def run_fresh(code, devices, **more):
     environment = os.environ | {
         "JAX_NUM_CPU_DEVICES": str(devices),
         "JAX_PLATFORMS": "cpu",
@@ -78,6 +78,7 @@ def run_fresh(code, devices):
         "JAX_COMPILATION_CACHE_DIR": str(jax.config.jax_compilation_cache_dir),
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     }
+    environment |= more
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", code],
         env=environment,
@@ -90,13 +91,33 @@ def run_fresh(code, devices):
 
 
 def test_bits_do_not_depend_on_devices_nor_on_resume_points():
-    """137 trials are no multiple of a micro-batch, of 2 or of 4 devices."""
+    """137 trials are no multiple of a micro-batch, of 2 or of 4 devices; 5 or 35 micro-batches."""
     prints = {devices: run_fresh(BITS, devices) for devices in (1, 2, 4)}
     for devices, (count, *digests) in prints.items():
         assert count == str(devices)
         assert digests == prints[1][1:]
         for whole, parts in (digests[0:2], digests[3:5]):
             assert whole == parts
+
+
+LINEAR_ALGEBRA = """
+import jax, jax.numpy as jnp
+from jaxtrack.montecarlo import monte_carlo
+
+def trial(key, params):
+    def one(key):
+        points = jax.random.normal(key, (32, 32))
+        return jnp.sum(jnp.linalg.cholesky(points @ points.T + params * jnp.eye(32)))
+
+    return sum(one(part) for part in jax.random.split(key, 6))
+
+print(monte_carlo(trial, jax.random.key(0), 2000, 64.0).values.shape)
+"""
+
+
+def test_the_advised_number_of_threads_prevents_stalls():
+    """Without it this program comes to a standstill on a machine of few cores."""
+    assert run_fresh(LINEAR_ALGEBRA, 2, NPROC="13") == ["(2000,)"]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is in kilobytes on Linux only")

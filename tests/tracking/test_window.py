@@ -157,7 +157,7 @@ def test_limits_that_are_hit_are_told(monkeypatch):
     assert notes == ("there are 4 pairs of successive looks, of which 3 fit",)
     wide = field._replace(rho_max_m=1e6)
     _, notes = choose_sizes(scans, wide, SpeedGate(), 10.0, method="standard", tracks=4)
-    assert "977 m along ρ instead of 5 m" in notes[0]
+    assert "977 m along ρ instead of 5 m" in notes[-1]
 
 
 def test_too_many_distant_pairs_are_sought_farther_apart(monkeypatch):
