@@ -20,6 +20,7 @@ from jaxtrack.models.line import line_through
 from jaxtrack.models.motion import propagate
 from jaxtrack.models.observation import POSITION, Observation, PositionSensor
 from jaxtrack.numerics.checks import check_size
+from jaxtrack.numerics.definite import definite_inverse
 from jaxtrack.numerics.safe import safe_divide
 from jaxtrack.types import Array, Key, Lines, Scan, Stage, Tracks
 
@@ -215,7 +216,5 @@ def _inverse(information: Array) -> tuple[Array, Array]:
     """
     diagonal = jnp.diagonal(information)
     scale = jax.lax.rsqrt(jnp.where(diagonal > 0, diagonal, 1.0))
-    value, vector = jnp.linalg.eigh(information * scale[:, None] * scale[None, :])
-    floor = jnp.asarray(1e-5, value.dtype)
-    inverse = (vector / jnp.maximum(value, floor)[None, :]) @ vector.T
-    return inverse * scale[:, None] * scale[None, :], (value > floor).all() & (diagonal > 0).all()
+    inverse, definite = definite_inverse(information * scale[:, None] * scale[None, :])
+    return inverse * scale[:, None] * scale[None, :], definite & (diagonal > 0).all()

@@ -9,6 +9,8 @@ words the errors of shapes, dtypes and static arguments.
 from jaxtrack.numerics.assignment import Assignment, assign
 from jaxtrack.numerics.bijectors import Bijector, bounded, identity, positive, simplex
 from jaxtrack.numerics.checks import check_array, check_choice, check_size
+from jaxtrack.numerics.choice import choose, greater, step
+from jaxtrack.numerics.definite import definite_inverse
 from jaxtrack.numerics.masked import (
     masked_argmax,
     masked_argmin,
@@ -40,6 +42,9 @@ __all__ = [
     "check_array",
     "check_choice",
     "check_size",
+    "choose",
+    "definite_inverse",
+    "greater",
     "identity",
     "masked_argmax",
     "masked_argmin",
@@ -57,6 +62,7 @@ __all__ = [
     "safe_norm",
     "safe_sqrt",
     "simplex",
+    "step",
     "take_along",
     "wrap_angle",
 ]

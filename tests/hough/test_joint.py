@@ -206,7 +206,8 @@ def test_covariance_is_the_inverse_curvature_of_the_score(covariance):
         expected = np.linalg.inv(-hessian)
         scale = np.sqrt(np.diag(expected))
         difference = (np.asarray(tracks.covariance[0]) - expected) / np.outer(scale, scale)
-        np.testing.assert_allclose(difference, 0.0, atol=1e-4)
+        # The curvature is taken where the search ends, the mean is one Newton step on.
+        np.testing.assert_allclose(difference, 0.0, atol=1e-3)
 
 
 def test_both_of_two_crossing_targets_are_found():
