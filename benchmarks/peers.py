@@ -1,4 +1,6 @@
-"""The paper's methods as a careful NumPy user writes them: vectorized, one realization at a time."""
+"""The methods as a careful NumPy user writes them: vectorized, one realization at a time."""
+
+import itertools
 
 import numpy as np
 
@@ -77,7 +79,7 @@ def own_cell_votes(rho, theta, weight, rho_max, n_rho, n_theta):
 
 def improved(scans, dt, v_min, v_max, rho_max, n_rho, n_theta, lines, separation):
     ends = []
-    for before, now in zip(scans[:-1], scans[1:], strict=True):
+    for before, now in itertools.pairwise(scans):
         first, second = gated_pairs(before, now, dt, v_min, v_max)
         ends.append((before[first], now[second]))
     rho, theta = lines_through(
@@ -93,7 +95,7 @@ def neutrosophic(
 ):
     """Kernels that share the detection, votes in the own cell: joined as ragged lists."""
     every, kernel = [], None
-    for before, now in zip(scans[:-1], scans[1:], strict=True):
+    for before, now in itertools.pairwise(scans):
         first, second = gated_pairs(before, now, dt, v_min, v_max)
         a, b = before[first], now[second]
         rho, theta = lines_through(a, b) if len(a) else (np.zeros(0), np.zeros(0))

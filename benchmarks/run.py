@@ -17,13 +17,13 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 import peers  # noqa: E402
 
-from jaxtrack.montecarlo import monte_carlo  # noqa: E402
 from jaxtrack.hough import Grid, Sizes, improved, joint, modified, neutrosophic, standard  # noqa: E402
 from jaxtrack.models import PositionSensor  # noqa: E402
+from jaxtrack.montecarlo import monte_carlo  # noqa: E402
 from jaxtrack.sensors import crossing_targets, observe, radar_measurements  # noqa: E402
 
 LINES, SEPARATION, SEED = 6, (102.0, 0.1003), 0
-GRID = dict(rho_max=4000.0, n_rho=1600, n_theta=3142)
+GRID = {"rho_max": 4000.0, "n_rho": 1600, "n_theta": 3142}
 PAPER_S = {"standard": 4.0209, "neutrosophic": 0.1330, "modified": 0.0637, "improved": 0.0518}
 AREA_M2 = 3500.0 * 1600.0
 
@@ -95,7 +95,7 @@ def numpy_seconds(peer, data):
 
 
 def numpy_peers():
-    gate = dict(dt=2.0, v_min=100.0, v_max=400.0)
+    gate = {"dt": 2.0, "v_min": 100.0, "v_max": 400.0}
     common = dict(**GRID, lines=LINES, separation=SEPARATION)
     return {
         "standard": lambda s: peers.standard(s, **common),

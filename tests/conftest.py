@@ -1,4 +1,4 @@
-"""Settings that every test runs under: float64, strict shapes and dtypes, a shared compile cache."""
+"""What every test runs under: float64, strict shapes and dtypes, a shared compile cache."""
 
 import os
 import pathlib

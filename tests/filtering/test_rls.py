@@ -127,8 +127,8 @@ def test_ten_thousand_steps_in_float32(forgetting):
     state, (inverse, fitted) = jax.jit(jax.lax.scan, static_argnums=0)(step, begin, inputs)
     assert state.coefficients.dtype == state.inverse.dtype == fitted.dtype == np.float32
     assert np.isfinite(fitted).all()
-    np.testing.assert_array_equal(inverse, np.swapaxes(inverse, 1, 2))
+    # But for the last bit, as compilers may fuse one of the two sums with a product.
+    np.testing.assert_allclose(inverse, np.swapaxes(inverse, 1, 2), rtol=3e-7)
     assert (np.linalg.eigvalsh(inverse) > 0).all()
-    t_ref, everything = 0.0, np.ones(steps, bool)
-    expected, _ = batch(phi[:, 1], z, everything, t_ref, forgetting, 1e6)
+    expected, _ = batch(phi[:, 1], z, np.ones(steps, bool), 0.0, forgetting, 1e6)
     np.testing.assert_allclose(state.coefficients, expected, rtol=1e-3)
