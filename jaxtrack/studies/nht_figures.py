@@ -148,8 +148,9 @@ def _accumulations(key: Key, inputs: Inputs, shape: Shape, *, title: str) -> Any
 def _run_times(times: xr.Dataset) -> Any:
     from jaxtrack import plots
 
-    seconds = {LONG[str(m)]: times.seconds.sel(method=m).values for m in times.method.values}
-    paper = {LONG[str(m)]: float(times.paper_seconds.sel(method=m)) for m in times.method.values}
+    by_method = {LONG[str(m)]: times.sel(estimator=m) for m in times.estimator.values}
+    seconds = {name: here.seconds.values for name, here in by_method.items()}
+    paper = {name: float(here.paper_seconds) for name, here in by_method.items()}
     known = {name: value for name, value in paper.items() if np.isfinite(value)}
     return plots.run_times(times.clutter.values, seconds, known)
 
@@ -158,7 +159,7 @@ def _scores(simulated: xr.Dataset, count: str) -> Any:
     from jaxtrack import plots
 
     def share(method: str, situation: str) -> tuple[float, float, float]:
-        cell = simulated.sel(match=100.0, method=method, situation=situation, peaks="raw")
+        cell = simulated.sel(match=100.0, estimator=method, situation=situation, peaks="raw")
         k, n = float(cell[count]), int(cell.trials)
         return k / n, *(float(end) for end in proportion_interval(k, n))
 

@@ -70,7 +70,7 @@ def word_numbers(simulated: xr.Dataset, situation: str, what: str) -> list[float
     here = simulated[what].sel(situation=situation)
     if what == "discrimination":
         here = here.sel(match=100.0, peaks="raw")
-    return [float(here.sel(method=method)) for method in COMPARED]
+    return [float(here.sel(estimator=method)) for method in COMPARED]
 
 
 def agreement(values: Sequence[float], words: Sequence[str]) -> tuple[int, list[str]]:
@@ -103,7 +103,7 @@ def shares(scores: xr.Dataset, title: str, *, count: str, match_m: float) -> Tab
     names, cells = [], []
     for method, forms in FORMS.items():
         for form in forms:
-            cell = scores.sel(match=match_m, method=method, peaks=form)
+            cell = scores.sel(match=match_m, estimator=method, peaks=form)
             names.append(f"{method} {form}" if len(forms) > 1 else method)
             cells.append([number(float(x)) for x in (cell[count] / cell.trials).values])
     trials = int(scores.trials.max())
@@ -115,7 +115,7 @@ def means(scores: xr.Dataset, title: str, *, match_m: float) -> Table:
     situations = [str(name) for name in scores.situation.values]
     names, cells = [], []
     for method, forms in FORMS.items():
-        cell = scores.sel(match=match_m, method=method, peaks=forms[0])
+        cell = scores.sel(match=match_m, estimator=method, peaks=forms[0])
         names.append(method)
         line = []
         for situation in situations:
@@ -130,29 +130,29 @@ def means(scores: xr.Dataset, title: str, *, match_m: float) -> Table:
 
 def gates(table: xr.Dataset) -> Table:
     """Return the gates that were derived from scenes without targets."""
-    columns = [f"{method} {form}" for method, forms in FORMS.items() for form in forms]
-    clutter = [str(name) for name in table.clutter.values]
-    cells = [
-        [number(float(table.gate.sel(clutter=name, method=method, peaks=form))) for name in clutter]
-        for method, forms in FORMS.items()
-        for form in forms
-    ]
+    names, cells = [], []
+    for method, forms in FORMS.items():
+        for form in forms:
+            here = table.gate.sel(estimator=method, peaks=form)
+            names.append(f"{method} {form}" if len(forms) > 1 else method)
+            cells.append([number(float(x)) for x in here.values])
     title = (
         f"Gates from {table.attrs['scenes']} scenes without targets, for at most "
         f"{table.attrs['false_per_run']} false lines a run (joint: "
         f"{table.attrs['false_per_run_joint']})"
     )
-    return grid_table(title, columns, [f"clutter {name}" for name in clutter], cells)
+    columns = [f"clutter {name}" for name in table.clutter.values]
+    return grid_table(title, names, columns, cells)
 
 
 def run_times(times: xr.Dataset) -> Table:
     """Return milliseconds a run by clutter, and on the real data beside the paper's."""
     columns = [f"{c:.0f} a look" for c in times.clutter.values]
     columns += ["real data", "paper, real data", "paper / ours"]
-    names = [str(name) for name in times.method.values]
+    names = [str(name) for name in times.estimator.values]
     cells = []
     for method in names:
-        here = times.sel(method=method)
+        here = times.sel(estimator=method)
         ours, paper = float(here.real_seconds), float(here.paper_seconds)
         line = [f"{1e3 * s:.2f} ms" for s in here.seconds.values]
         known = np.isfinite(paper)

@@ -1,4 +1,4 @@
-"""From the lines of many trials to labelled scores: shares, means, errors, and Table 2's numbers."""
+"""From the lines of many trials to labelled scores: shares, means, errors, numbers of table 2."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -20,29 +20,14 @@ FALSE_PER_RUN_JOINT = 0.02
 
 Gates = dict[tuple[str, str], float]
 
-_SCORES = ("match", "situation", "method", "peaks")
-_VARIABLES = [
-    "trials",
-    "top_k",
-    "perfect",
-    "found_all",
-    "found",
-    "found_error",
-    "false",
-    "false_error",
-    "redundant",
-    "redundant_error",
-    "rho_rmse_m",
-    "rho_rmse_lower_m",
-    "rho_rmse_upper_m",
-    "theta_rmse_rad",
-    "theta_rmse_lower_rad",
-    "theta_rmse_upper_rad",
-    "discrimination",
-    "overflow",
-    "gate",
-]
-_WORDS = ["divergence", "divergence_error", "decline", "decline_error"]
+_SCORES = ("match", "situation", "estimator", "peaks")  # `sel` has an argument `method`
+_VARIABLES = (
+    *("trials", "gate", "overflow", "top_k", "perfect", "found_all", "discrimination"),
+    *("found", "found_error", "false", "false_error", "redundant", "redundant_error"),
+    *("rho_rmse_m", "rho_rmse_lower_m", "rho_rmse_upper_m"),
+    *("theta_rmse_rad", "theta_rmse_lower_rad", "theta_rmse_upper_rad"),
+)
+_WORDS = ("divergence", "divergence_error", "decline", "decline_error")
 
 
 class Cell(NamedTuple):
@@ -65,11 +50,11 @@ def derive_gates(outcome: Outcome) -> Gates:
 
 
 def dataset(cells: Sequence[Cell], match_m: Sequence[float]) -> xr.Dataset:
-    """Return the scores of all cells by match, situation, method and form of the peaks.
+    """Return the scores of all cells by match, situation, estimator and form of peaks.
 
-    `top_k`, `perfect` and `found_all` count trials; `found`, `false` and `redundant` are means over trials with
-    their standard errors, at the gate; root mean square errors are over the targets found, with
-    95 % intervals; `discrimination` is the median. What was not run is NaN.
+    `top_k`, `perfect` and `found_all` count trials; `found`, `false` and `redundant` are means over
+    trials with their standard errors, at the gate; root mean square errors are over the targets
+    found, with 95 % intervals; `discrimination` is the median. What was not run is NaN.
     """
     situations = list(dict.fromkeys(cell.situation for cell in cells))
     sides = (len(match_m), len(situations), len(METHODS), len(PEAKS))
@@ -98,7 +83,7 @@ def dataset(cells: Sequence[Cell], match_m: Sequence[float]) -> xr.Dataset:
         coords={
             "match": ("match", np.asarray(match_m, np.float64), {"units": "m"}),
             "situation": situations,
-            "method": list(METHODS),
+            "estimator": list(METHODS),
             "peaks": list(PEAKS),
         },
     )
@@ -144,8 +129,8 @@ def gates_dataset(gates: Mapping[str, Gates], scenes: int) -> xr.Dataset:
         for (method, form), gate in entries.items():
             table[row, METHODS.index(method), PEAKS.index(form)] = gate
     return xr.Dataset(
-        {"gate": (("clutter", "method", "peaks"), table)},
-        coords={"clutter": list(gates), "method": list(METHODS), "peaks": list(PEAKS)},
+        {"gate": (("clutter", "estimator", "peaks"), table)},
+        coords={"clutter": list(gates), "estimator": list(METHODS), "peaks": list(PEAKS)},
         attrs={
             "scenes": scenes,
             "false_per_run": FALSE_PER_RUN,

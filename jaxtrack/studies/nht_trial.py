@@ -144,6 +144,7 @@ def _neutrosophic(inputs: Inputs, method: str) -> neutrosophic.NeutrosophicParam
 
 
 def sizes_of(shape: Shape, method: str, form: str) -> Sizes:
+    """Return a voting method's static sizes."""
     return Sizes(
         lines=LINES,
         pairs=shape.pairs if method == "MHT" else shape.gated_pairs,

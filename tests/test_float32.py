@@ -1,0 +1,163 @@
+"""Everything in float32, as users without x64 run it: a process of its own, warnings are errors.
+
+Run as a script, this file is that process.
+"""
+
+import functools
+import json
+import os
+import pathlib
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxtrack import hough, metrics, montecarlo, sensors, tracking
+from jaxtrack.models import PositionSensor
+from jaxtrack.types import Lines
+
+CLUTTER = 10.0
+SIZES = hough.Sizes(lines=6, pairs=192, candidates=64, rho=400, theta=628, smooth=2)
+GRID = hough.Grid((1750.0, 800.0), 2000.0)
+JOINT = hough.joint.JointSizes(hypotheses=4096)
+
+
+def estimators(scans):
+    """Return what each estimator gives for one set of looks, compiled."""
+    speed, peaks = hough.SpeedGate(), hough.Peaks()
+    pair_params = hough.improved.ImprovedParams(GRID, peaks, speed)
+    neutrosophic_params = hough.neutrosophic.NeutrosophicParams(GRID, peaks, speed)
+    sensor = PositionSensor(0.99, CLUTTER / (3500.0 * 1600.0), 10.0)
+    joint_params = hough.joint.JointParams(sensor, speed, 15.0)
+    bind = lambda f, params, *more, **options: functools.partial(
+        lambda scans, params: f(scans, params, *more, **options), scans, params
+    )
+    runs = {
+        "standard": bind(
+            hough.standard.estimate, hough.standard.StandardParams(GRID, peaks), sizes=SIZES
+        ),
+        "modified": bind(
+            hough.modified.estimate, hough.modified.ModifiedParams(GRID, peaks), sizes=SIZES
+        ),
+        "improved": bind(hough.improved.estimate, pair_params, sizes=SIZES),
+        "improved, soft": bind(
+            hough.improved.soft_estimate, pair_params, 20.0, 0.01, sizes=SIZES
+        ),
+        "neutrosophic": bind(hough.neutrosophic.estimate, neutrosophic_params, sizes=SIZES),
+        "neutrosophic, soft": bind(
+            hough.neutrosophic.soft_estimate, neutrosophic_params, 1.0, sizes=SIZES
+        ),
+        "joint": bind(hough.joint.estimate, joint_params, sizes=JOINT),
+    }
+    return {name: jax.jit(run)() for name, run in runs.items()}
+
+
+def trial(key, initial):
+    truth = sensors.move(key, initial, 2.0 * jnp.arange(7.0))
+    radar = sensors.Radar(clutter_per_scan=CLUTTER)
+    scans = sensors.observe(key, truth, radar, detections=32)
+    params = hough.improved.ImprovedParams(GRID)
+    lines, _ = hough.improved.estimate(scans, params, sizes=SIZES)
+    position = jnp.moveaxis(truth.state[..., :2], 0, 1)
+    scores = metrics.initiation_scores(
+        lines, position, truth.mask.all(0), match_m=50.0, gate=3.0
+    )
+    return scores, truth.state
+
+
+def report():
+    """Run everything; return what went wrong, and what the joint vote found."""
+    wrong = []
+
+    def check(name, tree):
+        for path, leaf in jax.tree.leaves_with_path(tree):
+            leaf = jnp.asarray(leaf)
+            where = name + jax.tree_util.keystr(path)
+            if jnp.issubdtype(leaf.dtype, jnp.floating):
+                if leaf.dtype != jnp.float32:
+                    wrong.append(f"{where}: {leaf.dtype}")
+                # Scores of candidates that do not exist are −∞ by definition.
+                bad = jnp.isnan(leaf) if "hypothesis" in where else ~jnp.isfinite(leaf)
+                if bad.any():
+                    wrong.append(f"{where}: not finite")
+            elif leaf.dtype.itemsize > 4:
+                wrong.append(f"{where}: {leaf.dtype}")
+
+    scene = sensors.crossing_targets("IV", CLUTTER)
+    scans = sensors.observe(jax.random.key(7), scene.truth, scene.radar, detections=32)
+    check("scans", scans)
+    found = estimators(scans)
+    for name, result in found.items():
+        check(name, result)
+    tracks, _ = found["joint"]
+    lines = hough.joint.lines_of(tracks)
+    started = jax.jit(tracking.initiate)(scans, lines, tracking.InitiateParams())
+    check("initiate", (lines, started))
+
+    truth = scene.truth.state[-1, :, :2]
+    sets = tracks.mean[:, :2], tracks.mask, truth, scene.truth.mask[-1]
+    ospa = jax.jit(functools.partial(metrics.ospa, cutoff=100.0, order=2.0))(*sets)
+    gospa = jax.jit(functools.partial(metrics.gospa, cutoff=100.0, order=2.0))(*sets)
+    check("metrics", (ospa, gospa))
+    run = montecarlo.monte_carlo(trial, jax.random.key(8), 8, scene.truth.state[0], micro_batch=4)
+    check("monte_carlo", (run.values, run.mean, run.standard_error))
+    after = started[0].mean[:, :2], started[0].mask, truth, scene.truth.mask[-1]
+    smoothed = metrics.ospa(*after, cutoff=100.0, order=2.0)
+    return {
+        "wrong": wrong,
+        "lines": {
+            name: int(result.mask.sum())
+            for name, (result, _) in found.items()
+            if isinstance(result, Lines)
+        },
+        "tracks": int(tracks.mask.sum()),
+        "ospa_m": float(ospa.distance),
+        "smoothed_ospa_m": float(smoothed.distance),
+    }
+
+
+@pytest.fixture(scope="module")
+def seen():
+    root = pathlib.Path(__file__).resolve().parent.parent
+    options = {
+        "JAX_ENABLE_X64": "0",
+        "JAX_NUMPY_RANK_PROMOTION": "raise",
+        "JAX_NUMPY_DTYPE_PROMOTION": "strict",
+        "JAX_COMPILATION_CACHE_DIR": str(root / ".jax_cache"),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "JAX_PLATFORMS": "cpu",
+    }
+    run = subprocess.run(
+        [sys.executable, "-W", "error", __file__],
+        cwd=root,
+        env=os.environ | options,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    return json.loads(run.stdout)
+
+
+def test_everything_is_float32_and_finite(seen):
+    assert seen["wrong"] == []
+
+
+def test_every_method_finds_lines(seen):
+    assert len(seen["lines"]) == 6
+    assert all(count > 0 for count in seen["lines"].values())
+
+
+def test_the_joint_vote_finds_the_three_targets(seen):
+    assert seen["tracks"] == 3
+    assert seen["ospa_m"] < 20.0
+    assert seen["smoothed_ospa_m"] < 20.0
+
+
+if __name__ == "__main__":
+    assert not jax.config.jax_enable_x64
+    assert np.asarray(jnp.zeros(1)).dtype == np.float32
+    sys.stdout.write(json.dumps(report()))
