@@ -1,1 +1,5 @@
 """Recursive filters. `rls` smooths initialised tracks."""
+
+from jaxtrack.filtering import rls
+
+__all__ = ["rls"]

@@ -25,7 +25,13 @@ def step(x: Array, temperature: Array | None) -> Array:
 
 
 def greater(x: Array, y: Array, temperature: Array | None) -> Array:
-    """Return the larger of two arrays, or their mean weighted by softmax."""
+    """Return the larger of two arrays, or their mean weighted by softmax.
+
+    Example:
+        >>> x, y = jnp.array([1.0, 4.0]), jnp.array([3.0, 2.0])
+        >>> print(greater(x, y, None), greater(x, y, 1e-3))
+        [3. 4.] [3. 4.]
+    """
     first = step(x - y, temperature)
     return first * x + (1 - first) * y
 

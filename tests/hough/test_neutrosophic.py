@@ -32,7 +32,18 @@ from tests.oracles import neutrosophic as oracle
 
 PARAMS = NeutrosophicParams(GRID, PEAKS, SPEED, eps_rho_m=20.0, eps_theta_rad=0.15, sigma_m=10.0)
 SCALES = ("tolerance", "covariance")
-READINGS = [("own_cell", 0), ("own_cell", 1), ("own_and_kernel_cell", 0), ("spread", 0)]
+# Every landing, scale and option, raw and smoothed, without all their combinations.
+READINGS = [
+    (Rules("own_cell", "tolerance", True, True), 0),
+    (Rules("own_cell", "tolerance", False, True), 1),
+    (Rules("own_cell", "covariance", True, False), 1),
+    (Rules("own_and_kernel_cell", "tolerance", True, False), 0),
+    (Rules("own_and_kernel_cell", "covariance", True, True), 2),
+    (Rules("own_and_kernel_cell", "covariance", False, True), 0),
+    (Rules("spread", "tolerance", False, False), 0),
+    (Rules("spread", "covariance", True, True), 0),
+    (Rules("spread", "covariance", False, True), 0),
+]
 fewer = settings(few, max_examples=8)
 OPTIONS = list(itertools.product((True, False), (True, False)))
 
@@ -135,13 +146,10 @@ def test_random_looks_meet_every_case(scale):
     assert len(twins) > 3
 
 
-@pytest.mark.parametrize("scale", SCALES)
-@pytest.mark.parametrize(("landing", "smooth"), READINGS)
-@pytest.mark.parametrize(("share", "opening"), [(True, True), (False, False)])
+@pytest.mark.parametrize(("rules", "smooth"), READINGS, ids=str)
 @fewer
 @given(scan=looks(shapes=((4, 5),)), params=parameters(), gate=st.sampled_from((0.0, 0.5)))
-def test_lines_equal_the_oracle(scale, landing, smooth, share, opening, scan, params, gate):
-    rules = Rules(landing, scale, share, opening)
+def test_lines_equal_the_oracle(rules, smooth, scan, params, gate):
     check_lines(scan, params._replace(peaks=PEAKS._replace(gate=gate)), rules, smooth)
 
 
@@ -175,11 +183,9 @@ def check_lines(scan, params, rules, smooth):
     np.testing.assert_allclose(info.votes.weight[there], wanted, rtol=1e-10)
 
 
-@pytest.mark.parametrize("scale", SCALES)
-@pytest.mark.parametrize("landing", neutrosophic.LANDINGS)
-def test_soft_lines_tend_to_the_hard_ones(landing, scale):
+@pytest.mark.parametrize("rules", [r for r, smooth in READINGS if not smooth], ids=str)
+def test_soft_lines_tend_to_the_hard_ones(rules):
     params = PARAMS._replace(grid=Grid(ORIGIN, 700.0))
-    rules = Rules(landing, scale)
     for seed in range(6):
         scan = random_looks(np.random.default_rng(seed), 4, 5)
         expected, _ = jitted(rules)(scan, params)
