@@ -17,7 +17,7 @@ import jax.numpy as jnp
 
 from jaxtrack.hough.pairs import SpeedGate, distant_pairs
 from jaxtrack.models.line import line_through
-from jaxtrack.models.motion import propagate
+from jaxtrack.models.motion import look_times, propagate
 from jaxtrack.models.observation import POSITION, Observation, PositionSensor
 from jaxtrack.numerics.checks import check_size
 from jaxtrack.numerics.definite import definite_inverse
@@ -97,8 +97,9 @@ def estimate(
     gate = jnp.asarray(params.gate, dtype)
     counts = scans.mask & scans.valid[:, None]
     weight = jnp.ones(counts.shape, dtype) if scans.weight is None else scans.weight
+    _, end = look_times(scans)
     scans = scans._replace(
-        time_s=jnp.where(scans.valid, scans.time_s, scans.time_s[-1]),
+        time_s=jnp.where(scans.valid, scans.time_s, end),
         weight=jnp.where(counts, weight, 0.0),
     )
     fixed, fixed_sensor = jax.lax.stop_gradient((scans, sensor))
@@ -170,7 +171,7 @@ def estimate(
     claims = jax.vmap(claim)(jax.lax.stop_gradient(mean), whole[None] * free)
     clear = lambda x: jnp.where(keep.reshape(-1, *(1,) * (x.ndim - 1)), x, 0)
     tracks = Tracks(
-        time_s=scans.time_s[-1],
+        time_s=end,
         mean=clear(mean),
         covariance=clear(covariance),
         mask=keep,
@@ -204,7 +205,7 @@ def lines_of(tracks: Tracks) -> Lines:
 
 def _along(state: Array, scans: Scan) -> Array:
     """Return a state of the last look at every look, [K, 4]."""
-    dt = scans.time_s - scans.time_s[-1]
+    dt, _ = look_times(scans)
     return propagate(jnp.broadcast_to(state, (dt.shape[0], *state.shape)), dt)
 
 

@@ -14,7 +14,15 @@ import jax.numpy as jnp
 from jaxtrack.hough.grid import Grid, Sizes, check_sizes
 from jaxtrack.hough.pairs import Pairs, SpeedGate, candidate_pairs, pair_covariances
 from jaxtrack.hough.peaks import HoughInfo, Peaks, extract, inform
-from jaxtrack.hough.votes import VoteKernel, Votes, gaussian, hard, scaled_gaussian, soft
+from jaxtrack.hough.votes import (
+    VoteKernel,
+    Votes,
+    correlated_gaussian,
+    gaussian,
+    hard,
+    scaled_gaussian,
+    soft,
+)
 from jaxtrack.models.line import line_difference, line_through, wrap_line
 from jaxtrack.numerics.checks import check_choice
 from jaxtrack.numerics.choice import choose, greater, step
@@ -298,10 +306,8 @@ def _membership(
 ) -> tuple[Array, Array, Array, Array]:
     """Return Δρ, Δθ, the box indicator and exp(−½ Δᵀ S⁻¹ Δ), S in the first line's name."""
     d_rho, d_theta = line_difference(*line, *other)
-    var_rho, cov, var_theta = (scale[..., c] for c in range(3))
-    determinant = var_rho * var_theta - cov**2
-    squared = var_theta * d_rho**2 - 2 * cov * d_rho * d_theta + var_rho * d_theta**2
-    near = jnp.exp(-safe_divide(squared, determinant) / 2)
+    var_rho, var_theta = scale[..., 0], scale[..., 2]
+    near = correlated_gaussian(d_rho, d_theta, scale)
     box = step(2 - jnp.abs(d_rho) / safe_sqrt(var_rho), temperature)
     return (
         d_rho,

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxtrack.models.line import line_covariance, line_through
+from jaxtrack.models.motion import look_times
 from jaxtrack.numerics.checks import check_size
 from jaxtrack.types import Array, Scan
 
@@ -43,7 +44,8 @@ class Pairs(NamedTuple):
 
 def detection_times(scans: Scan) -> Array:
     """Return each detection's own time, [K, N]; in a look that was lost, the last look's."""
-    time = jnp.where(scans.valid, scans.time_s, scans.time_s[-1])
+    before, end = look_times(scans)
+    time = before + end
     time = jnp.broadcast_to(time[:, None], scans.mask.shape)
     if scans.delay_s is None:
         return time
@@ -71,7 +73,7 @@ def candidate_pairs(scans: Scan, origin_m: Array, speed: SpeedGate | None, *, pa
         >>> scans = Scan(jnp.array([0.0, 1.0]), jnp.ones(2, bool),
         ...              jnp.array([[[0.0, 0.0]], [[0.0, 200.0]]]), jnp.ones((2, 1), bool))
         >>> table = candidate_pairs(scans, jnp.zeros(2), SpeedGate(), pairs=4)
-        >>> print(table.mask[0], table.theta_rad[0, 0])
+        >>> print(table.mask[0], abs(table.theta_rad[0, 0]))
         [ True False False False] 0.0
 
     Source: neutrosophic Hough transform (2018), equations 4 and 20–22.
@@ -153,7 +155,7 @@ def distant_pairs(
     mask = jnp.arange(hypotheses) < count.sum()
     dt = jnp.where(mask, time[m, second] - time[k, first], 1.0)[:, None]
     velocity = (position[m, second] - position[k, first]) / dt
-    ahead = (scans.time_s[-1] - time[m, second])[:, None]
+    ahead = (look_times(scans)[1] - time[m, second])[:, None]
     states = jnp.concatenate([position[m, second] + velocity * ahead, velocity], axis=-1)
     return jnp.where(mask[:, None], states, 0.0), mask, overflow
 

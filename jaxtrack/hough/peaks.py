@@ -221,9 +221,8 @@ def inform(
     lines: Lines, scans: Scan, peaks: Peaks, overflow: Array, votes: Votes | None
 ) -> HoughInfo:
     """Assemble what every method reports beside its lines."""
-    strongest = jnp.maximum(lines.votes[0], jnp.finfo(lines.votes.dtype).tiny)
     belong = members(lines, scans, jnp.asarray(peaks.member_m, lines.rho_m.dtype))
-    return HoughInfo(lines.votes / strongest, belong, overflow, votes)
+    return HoughInfo(safe_divide(lines.votes, lines.votes[:1]), belong, overflow, votes)
 
 
 def _separate(d_rho: Array, d_theta: Array, peaks: Peaks) -> Array:

@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxtrack.hough.grid import Grid, Sizes, cell_difference, cell_of, centre_of, steps
 from jaxtrack.models.line import line_difference
+from jaxtrack.numerics.safe import safe_divide
 from jaxtrack.types import Array
 
 # The screening table's size: a power of two that stays in the second-level cache.
@@ -165,9 +166,9 @@ def scaled_gaussian(scale: Array, mask: Array) -> VoteKernel:
         scale: [Q, 3] var ρ, cov(ρ, θ) and var θ of every vote, as `models.line_covariance` gives.
         mask: [Q] which votes exist.
     """
-    # Free slots get a unit scale, so that nothing is divided by their zero determinant.
-    var_rho, cov, var_theta = (jnp.where(mask, scale[:, c], float(c != 1)) for c in range(3))
-    determinant = var_rho * var_theta - cov**2
+    # Free slots get a unit scale, so that nothing is divided by zero.
+    unit = jnp.asarray([1.0, 0.0, 1.0], scale.dtype)
+    scale = jnp.where(mask[:, None], scale, unit[None, :])
     typical = lambda variance: jnp.sqrt(
         jnp.where(mask, variance, 0.0).sum() / jnp.maximum(mask.sum(), 1).astype(scale.dtype)
     )
@@ -175,12 +176,28 @@ def scaled_gaussian(scale: Array, mask: Array) -> VoteKernel:
     def similarity(rho: Array, theta: Array, votes: Votes) -> Array:
         # Differences are taken from the vote, in whose name of the line its covariance holds.
         d_rho, d_theta = line_difference(votes.rho_m, votes.theta_rad, rho, theta)
-        squared = var_theta * d_rho**2 - 2 * cov * d_rho * d_theta + var_rho * d_theta**2
-        return jnp.exp(-squared / determinant / 2)
+        return correlated_gaussian(d_rho, d_theta, scale)
 
-    reach = [3 * jax.lax.stop_gradient(typical(variance)) for variance in (var_rho, var_theta)]
+    reach = [
+        3 * jax.lax.stop_gradient(typical(variance)) for variance in (scale[:, 0], scale[:, 2])
+    ]
     tiny = jnp.asarray(jnp.finfo(scale.dtype).eps, scale.dtype)
     return VoteKernel(similarity, similarity, *(x + tiny for x in reach))
+
+
+def correlated_gaussian(d_rho: Array, d_theta: Array, scale: Array) -> Array:
+    """Return exp(−½ Δᵀ S⁻¹ Δ) for S = var ρ, cov and var θ along the last axis.
+
+    As a sum of two squares, Δθ²/var θ + (Δρ − β Δθ)²/(var ρ − β cov) with β = cov/var θ: far from
+    the origin ρ and θ are almost one, and a determinant would lose its digits, and its sign.
+    """
+    var_rho, cov, var_theta = (scale[..., c] for c in range(3))
+    slope = safe_divide(cov, var_theta)
+    rest = var_rho - slope * cov
+    least = 4 * jnp.finfo(scale.dtype).eps * var_rho
+    rest = jnp.where(rest > least, rest, least)
+    squared = safe_divide(d_theta**2, var_theta)
+    return jnp.exp(-(squared + safe_divide((d_rho - slope * d_theta) ** 2, rest)) / 2)
 
 
 def evaluate(rho_m: Array, theta_rad: Array, votes: Votes, kernel: VoteKernel) -> Array:

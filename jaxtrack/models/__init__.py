@@ -7,7 +7,7 @@ from jaxtrack.models.line import (
     point_line_distance,
     wrap_line,
 )
-from jaxtrack.models.motion import propagate, transition_matrix
+from jaxtrack.models.motion import look_times, propagate, transition_matrix
 from jaxtrack.models.observation import (
     POSITION,
     Observation,
@@ -24,6 +24,7 @@ __all__ = [
     "line_covariance",
     "line_difference",
     "line_through",
+    "look_times",
     "point_line_distance",
     "position_log_likelihood_ratio",
     "position_responsibility",

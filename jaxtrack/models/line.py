@@ -42,7 +42,7 @@ def line_through(first_m: Array, second_m: Array, origin_m: Array) -> tuple[Arra
     normal_y = safe_divide(along[..., 0], length)
     flip = (normal_y < 0) | ((normal_y == 0) & (normal_x < 0))
     sign = jnp.where(flip, -1.0, 1.0).astype(length.dtype)
-    theta = safe_arctan2(jnp.abs(normal_y), sign * normal_x)
+    theta = safe_arctan2(sign * normal_y, sign * normal_x)
     offset = first_m - jnp.broadcast_to(origin_m, first_m.shape)
     rho = sign * (normal_x * offset[..., 0] + normal_y * offset[..., 1])
     return wrap_line(rho, theta)  # a normal that points down by less than rounding gives θ = π

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from jaxtrack.types import Array
+from jaxtrack.types import Array, Scan
 
 
 def propagate(state: Array, dt_s: Array) -> Array:
@@ -18,6 +18,24 @@ def propagate(state: Array, dt_s: Array) -> Array:
     """
     dt = jnp.broadcast_to(jnp.asarray(dt_s, state.dtype), state.shape[:-1])[..., None]
     return jnp.concatenate([state[..., :2] + state[..., 2:] * dt, state[..., 2:]], axis=-1)
+
+
+def look_times(scans: Scan) -> tuple[Array, Array]:
+    """Return the looks' times from the window's end, [K], and the end: the last valid look.
+
+    Looks that never happened stand at the end, whatever their time holds; without any valid look
+    the end is 0.
+
+    Example:
+        >>> scans = Scan(jnp.array([1.0, 4.0, jnp.nan]), jnp.array([True, True, False]),
+        ...              jnp.zeros((3, 1, 2)), jnp.zeros((3, 1), bool))
+        >>> times, end = look_times(scans)
+        >>> print(times, end)
+        [-3.  0.  0.] 4.0
+    """
+    last = jnp.where(scans.valid, jnp.arange(scans.valid.shape[0]), 0).max()
+    end = jnp.where(scans.valid.any(), scans.time_s[last], 0.0)
+    return jnp.where(scans.valid, scans.time_s - end, 0.0), end
 
 
 def transition_matrix(dt_s: Array) -> Array:

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxtrack.models.motion import propagate
-from jaxtrack.numerics.safe import safe_divide
+from jaxtrack.models.motion import look_times, propagate
+from jaxtrack.numerics.safe import safe_divide, safe_log
 from jaxtrack.types import Array, LogLikelihoodRatio, Scan
 
 
@@ -65,7 +65,7 @@ def position_log_likelihood_ratio(state: Array, scan: Scan, params: PositionSens
     """
     total = _ratios(state, scan, params).sum()
     miss = 1 - jnp.asarray(params.p_detect, state.dtype)
-    return jnp.where(scan.valid, jnp.log(miss + total), 0.0)
+    return jnp.where(scan.valid, safe_log(miss + total), 0.0)
 
 
 def position_responsibility(state: Array, scan: Scan, params: PositionSensor) -> Array:
@@ -111,15 +111,16 @@ def position_scores(states: Array, scans: Scan, params: PositionSensor) -> Array
     """
     miss = 1 - jnp.asarray(params.p_detect, states.dtype)
     columns = states.T
+    scans = scans._replace(time_s=look_times(scans)[0])
 
     def look(total: Array, scan: Scan) -> tuple[Array, None]:
-        dt = scan.time_s - scans.time_s[-1]
+        dt = scan.time_s
 
         def detection(ratio: Array, one: Detection) -> tuple[Array, None]:
             return ratio + _ratio(columns, dt, one), None
 
         ratio, _ = jax.lax.scan(detection, jnp.zeros_like(total), _detections(scan, params))
-        return total + jnp.where(scan.valid, jnp.log(miss + ratio), 0.0), None
+        return total + jnp.where(scan.valid, safe_log(miss + ratio), 0.0), None
 
     return jax.lax.scan(look, jnp.zeros_like(columns[0]), scans)[0]
 
@@ -137,7 +138,7 @@ def position_refine(state: Array, scans: Scan, params: PositionSensor) -> Array:
         scans: K looks stacked.
         params: detection probability, clutter density and noise.
     """
-    time = scans.time_s - scans.time_s[-1]
+    time, _ = look_times(scans)
     states = propagate(jnp.broadcast_to(state, (time.shape[0], 4)), time)
     claimed = jax.vmap(lambda x, scan: position_responsibility(x, scan, params))(states, scans)
     one = jax.vmap(lambda scan: _detections(scan, params))(scans)

@@ -132,16 +132,24 @@ def monte_carlo(
 
 def _run_traced(plan: Plan, key: Key, params: Any, batches: range) -> Any:
     """Run micro-batches differentiably: leaves `[(P,) len(batches), micro_batch, ...]`."""
-
-    # Inside a loop nothing can be merged across the checkpoint anyway, hence no barrier.
-    @functools.partial(jax.checkpoint, prevent_cse=False)
-    def body(index: jax.Array) -> Any:
-        return run_micro_batch(plan, key, params, index)
-
     indices = jnp.uint32(batches.start) + jnp.arange(len(batches), dtype=jnp.uint32)
-    rows = jax.lax.map(body, indices)
+    rows = _traced_program(plan)(key, params, indices)
     check_outputs(rows)
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, int(plan.batch_params)), rows)
+
+
+@functools.lru_cache(maxsize=64)
+def _traced_program(plan: Plan) -> Callable[[Key, Any, jax.Array], Any]:
+    """Return the loop over micro-batches, the same object for a plan: one compilation for all."""
+
+    def program(key: Key, params: Any, indices: jax.Array) -> Any:
+        # Inside a loop nothing can be merged across the checkpoint anyway, hence no barrier.
+        body = jax.checkpoint(
+            lambda index: run_micro_batch(plan, key, params, index), prevent_cse=False
+        )
+        return jax.lax.map(body, indices)
+
+    return jax.jit(program)
 
 
 def _is_traced(key: Key, params: Any) -> bool:

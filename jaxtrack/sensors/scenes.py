@@ -137,6 +137,7 @@ def random_targets(
     low, high = jnp.asarray(radar.field_low_m, dtype), jnp.asarray(radar.field_high_m, dtype)
     margin = jnp.asarray(limits.margin_m, dtype)
     half_s = dt_s * (looks - 1) / 2
+    draws, moves = jax.random.split(key)
 
     def target(key: Key) -> tuple[Array, Array]:
         keys = jax.random.split(key, 3)
@@ -155,9 +156,9 @@ def random_targets(
             fastest[first] >= slowest
         )
 
-    initial, fits = jax.vmap(target)(jax.random.split(key, targets))
+    initial, fits = jax.vmap(target)(jax.random.split(draws, targets))
     time_s = jnp.asarray(dt_s, dtype) * jnp.arange(looks, dtype=dtype)
-    truth = move(key, initial, time_s)
+    truth = move(moves, initial, time_s)
     rho, theta = line_through(initial[:, :2], initial[:, :2] + initial[:, 2:], jnp.zeros(2, dtype))
     d_rho, d_theta = line_difference(rho[:, None], theta[:, None], rho[None, :], theta[None, :])
     apart = (jnp.abs(d_rho) > limits.line_rho_m) | (jnp.abs(d_theta) > limits.line_theta_rad)

@@ -7,11 +7,11 @@ one, and the joint space–time vote look at the same scans. All settings below 
 
 import concurrent.futures
 import functools
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import xarray as xr
 
 from jaxtrack.hough import Grid, Peaks
 from jaxtrack.models import PositionSensor
@@ -19,9 +19,9 @@ from jaxtrack.montecarlo import monte_carlo
 from jaxtrack.sensors import Scene, crossing_targets, radar_measurements
 from jaxtrack.studies import nht_figures, nht_marks, nht_report, nht_scores, nht_times, store
 from jaxtrack.studies.nht_scores import Cell, Gates, derive_gates
-from jaxtrack.studies.nht_trial import DENSE, FORMS, METHODS, PAIRED, SHAPES, Inputs, Outcome, trial
+from jaxtrack.studies.nht_trial import SHAPES, Inputs, Outcome, Shape, trial
 from jaxtrack.studies.registry import Context, Study
-from jaxtrack.studies.tables import SMOKE_BELOW, entry, marks_table
+from jaxtrack.studies.tables import entry, marks_table
 from jaxtrack.types import Key
 
 # What the joint vote assumes of the real data: the 21 dots miss their constant-velocity fits by
@@ -36,7 +36,9 @@ MATCH_M, REAL_MATCH_M = (50.0, 100.0), (150.0, 300.0)
 SITUATIONS = {"I": 10, "II": 10, "III-10": 10, "IV-10": 10, "III-56": 56, "IV-56": 56}
 PRIMARY = {"I": "I", "II": "II", "III": "III-56", "IV": "IV-56"}
 REAL = {"real": 0.0, "real + 10 m": 10.0}  # noise added
-_GATES, _TRIALS, _TIMES, _SHOWN = range(4)  # streams of random keys
+# Clutter a square kilometre of the run times. A setting costs more to compile than to time.
+DENSITIES, DENSITIES_SHORT, MANY = (0.0, 2.0, 5.0, 10.0, 20.0), (2.0, 10.0), 500
+_GATES, _TRIALS, _TIMES = range(3)  # streams of random keys
 
 
 def simulated_inputs(
@@ -70,8 +72,23 @@ def _inputs(
 def run(context: Context) -> None:
     """Run everything, print the tables, save results and figures."""
     say = context.console.print
-    tables, gates = compute(context)
-    simulated, real = tables["simulated"], tables["real"]
+    gates, scenes = derive(context)
+    cells = simulate_all(context, gates)
+    times = nht_times.measure(
+        _key(context, _TIMES),
+        DENSITIES if context.trials >= MANY else DENSITIES_SHORT,
+        lambda clutter: simulated_inputs("IV", clutter, clutter),
+        real_inputs(10.0),
+        functools.partial(context.progress, "run times"),
+    )
+    simulated = nht_scores.dataset([cells[name] for name in SITUATIONS], MATCH_M)
+    real = nht_scores.dataset([cells[name] for name in REAL], REAL_MATCH_M)
+    tables = {
+        "gates": nht_scores.gates_dataset(gates, scenes),
+        "simulated": simulated,
+        "real": real,
+        "times": times,
+    }
     say(nht_report.gates(tables["gates"]))
     for what, count, match_m in (
         ("Top 3 at 50 m", "top_k", 50.0),
@@ -85,7 +102,7 @@ def run(context: Context) -> None:
     for match_m in REAL_MATCH_M:
         title = f"Real data, top 3 at {match_m:.0f} m"
         say(nht_report.shares(real, title, count="top_k", match_m=match_m))
-    say(nht_report.run_times(tables["times"]))
+    say(nht_report.run_times(times))
     rows = nht_marks.rows(simulated, real)
     say(marks_table("Marks, fixed beforehand", rows))
 
@@ -99,103 +116,68 @@ def run(context: Context) -> None:
         "marks": [entry(row) for row in rows],
     }
     store.save(context.out, tables, summary)
-
-    gate = {name: entries["joint", "raw"] for name, entries in gates.items()}
-    shown = {
-        name: (_situation(ours, gates), SHAPES[f"{SITUATIONS[ours]}"], gates[f"{SITUATIONS[ours]}"])
-        for name, ours in PRIMARY.items()
-    }
-    recorded = (real_inputs(10.0, gate["real"]), SHAPES["real"], gates["real"])
+    shown = {name: cells[ours] for name, ours in {**PRIMARY, "real": "real + 10 m"}.items()}
     report = functools.partial(context.progress, "figures")
-    nht_figures.draw(context.out, _key(context, _SHOWN), shown, recorded, tables, report)
+    nht_figures.draw(context.out, shown, tables, report)
 
 
-def compute(context: Context) -> tuple[dict[str, xr.Dataset], dict[str, Gates]]:
-    """Return the datasets `gates`, `simulated`, `real` and `times`, and the gates by table."""
-    _compile(context)
+def derive(context: Context) -> tuple[dict[str, Gates], int]:
+    """Return the gates by table of clutter, from scenes without targets, and how many scenes."""
     scenes = min(4 * context.trials, 4000)
+    _compile(context)
     gates = {}
-    for place, name in enumerate(SHAPES):
-        inputs = real_inputs(0.0) if name == "real" else _situation(f"IV-{name}", None)
-        truth = inputs.truth._replace(mask=jnp.zeros_like(inputs.truth.mask))
-        methods = PAIRED if name == "real" else METHODS
+    for place, (name, shape) in enumerate(SHAPES.items()):
+        inputs = real_inputs(0.0) if name == "real" else _situation(f"IV-{name}", 0.0)
+        nobody = inputs.truth._replace(mask=jnp.zeros_like(inputs.truth.mask))
+        report = functools.partial(context.progress, f"gates, clutter {name}")
         key = _key(context, _GATES, place)
-        what = f"gates, clutter {name}"
-        values = _trials(context, key, what, name, methods, inputs._replace(truth=truth), scenes)
-        gates[name] = derive_gates(values)
-    # On the real data the standard transform takes longest, and its share needs no gate.
-    gates["real"].update({("HT", form): np.nan for form in FORMS["HT"]})
+        outcome = _run(shape, key, scenes, inputs._replace(truth=nobody), report)
+        gates[name] = derive_gates(outcome)
+    return gates, scenes
 
-    cells = []
-    for place, (situation, clutter) in enumerate(SITUATIONS.items()):
-        inputs = _situation(situation, gates)
+
+def simulate_all(context: Context, gates: dict[str, Gates]) -> dict[str, Cell]:
+    """Return the trials of every situation."""
+    cells = {}
+    for place, situation in enumerate((*SITUATIONS, *REAL)):
+        name = str(SITUATIONS.get(situation, "real"))
+        gate = gates[name]["joint", "raw"]
+        recorded = situation in REAL
+        inputs = real_inputs(REAL[situation], gate) if recorded else _situation(situation, gate)
+        report = functools.partial(context.progress, situation)
         key = _key(context, _TRIALS, place)
-        values = _trials(context, key, situation, str(clutter), METHODS, inputs, context.trials)
-        cells.append(Cell(situation, inputs.truth, gates[str(clutter)], values))
-    real_cells = []
-    for place, (situation, sigma_m) in enumerate(REAL.items(), start=len(SITUATIONS)):
-        inputs = real_inputs(sigma_m, gates["real"]["joint", "raw"])
-        key = _key(context, _TRIALS, place)
-        fewer = min(context.trials, max(context.trials // 10, SMOKE_BELOW))
-        for methods, trials in ((PAIRED, context.trials), (DENSE, fewer)):
-            what = f"{situation}, {methods[0]} …"
-            values = _trials(context, key, what, "real", methods, inputs, trials)
-            real_cells.append(Cell(situation, inputs.truth, gates["real"], values))
-
-    # A setting costs more to compile than to time: a short run has two, whose shapes stand already.
-    densities = (0.0, 2.0, 5.0, 10.0, 20.0) if context.trials >= 500 else (2.0, 10.0)
-    times = nht_times.measure(
-        _key(context, _TIMES),
-        densities,
-        lambda clutter: simulated_inputs("IV", clutter, clutter),
-        real_inputs(10.0),
-        functools.partial(context.progress, "run times"),
-    )
-    tables = {
-        "gates": nht_scores.gates_dataset(gates, scenes),
-        "simulated": nht_scores.dataset(cells, MATCH_M),
-        "real": nht_scores.dataset(real_cells, REAL_MATCH_M),
-        "times": times,
-    }
-    return tables, gates
+        outcome = _run(SHAPES[name], key, context.trials, inputs, report)
+        cells[situation] = Cell(situation, SHAPES[name], inputs, key, gates[name], outcome)
+    return cells
 
 
-def _situation(name: str, gates: dict[str, Gates] | None) -> Inputs:
-    clutter = SITUATIONS[name]
-    gate = gates[str(clutter)]["joint", "raw"] if gates else 0.0
-    return simulated_inputs(name.partition("-")[0], float(clutter), float(clutter), gate)
+def _situation(name: str, joint_gate: float) -> Inputs:
+    clutter = float(SITUATIONS[name])
+    return simulated_inputs(name.partition("-")[0], clutter, clutter, joint_gate)
 
 
 def _key(context: Context, *numbers: int) -> Key:
     return functools.reduce(jax.random.fold_in, numbers, jax.random.key(context.seed))
 
 
-def _trials(
-    context: Context,
-    key: Key,
-    what: str,
-    shape: str,
-    methods: tuple[str, ...],
-    inputs: Inputs,
-    trials: int,
+def _run(
+    shape: Shape, key: Key, trials: int, inputs: Inputs, report: Callable[[int, int], None] | None
 ) -> Outcome:
-    """Run trials one by one: the dense accumulators and long vote tables fill the cache."""
-    report = functools.partial(context.progress, what)
-    fn = trial(SHAPES[shape], methods)
-    return monte_carlo(fn, key, trials, inputs, micro_batch=1, on_progress=report).values
+    """Run trials one by one: a batch of vote tables would leave the cache."""
+    run = monte_carlo(trial(shape), key, trials, inputs, micro_batch=1, on_progress=report)
+    return run.values
 
 
 def _compile(context: Context) -> None:
-    """Compile all programs at once, by a first trial of each; cores would idle otherwise."""
-    jobs = [("10", METHODS), ("56", METHODS), ("real", PAIRED), ("real", DENSE)]
+    """Compile all programs at a time, by a first trial of each: one alone leaves cores idle."""
 
-    def first(job: tuple[str, tuple[str, ...]]) -> None:
-        inputs = real_inputs(0.0) if job[0] == "real" else _situation(f"IV-{job[0]}", None)
-        monte_carlo(trial(SHAPES[job[0]], job[1]), _key(context), 1, inputs, micro_batch=1)
+    def first(name: str) -> None:
+        inputs = real_inputs(0.0) if name == "real" else _situation(f"IV-{name}", 0.0)
+        _run(SHAPES[name], _key(context), 1, inputs, None)
 
-    with concurrent.futures.ThreadPoolExecutor(len(jobs)) as pool:
-        for done, _ in enumerate(pool.map(first, jobs), start=1):
-            context.progress("compiling", done, len(jobs))
+    with concurrent.futures.ThreadPoolExecutor(len(SHAPES)) as pool:
+        for done, _ in enumerate(pool.map(first, SHAPES), start=1):
+            context.progress("compiling", done, len(SHAPES))
 
 
 STUDY = Study(

@@ -1,5 +1,6 @@
 """The figures of the study `nht`, in the manner of the paper's, saved under their numbers there."""
 
+import functools
 import pathlib
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -13,12 +14,11 @@ from jaxtrack.hough.standard import accumulator
 from jaxtrack.hough.votes import accumulate
 from jaxtrack.metrics import least_squares_line
 from jaxtrack.montecarlo import proportion_interval
-from jaxtrack.sensors import observe
 from jaxtrack.studies.nht_report import COMPARED
-from jaxtrack.studies.nht_scores import Gates
-from jaxtrack.studies.nht_trial import Inputs, Shape, detect, sizes_of
+from jaxtrack.studies.nht_scores import Cell
+from jaxtrack.studies.nht_trial import Inputs, Shape, detect, simulate, sizes_of
 from jaxtrack.tracking import InitiateParams, initiate
-from jaxtrack.types import Key, Lines, Scan
+from jaxtrack.types import Array, Scan
 
 # The words that figures use everywhere; the paper's MHT is no multiple hypothesis tracker.
 LONG = {
@@ -33,116 +33,102 @@ LONG = {
 
 def draw(
     out: pathlib.Path,
-    key: Key,
-    simulated: Mapping[str, tuple[Inputs, Shape, Gates]],
-    real: tuple[Inputs, Shape, Gates],
+    cells: Mapping[str, Cell],
     tables: Mapping[str, xr.Dataset],
     progress: Callable[[int, int], None],
 ) -> None:
-    """Draw all figures into `out`.
+    """Draw all figures into `out`; scenes, lines and votes are those of the first trial.
 
     Args:
         out: folder.
-        key: of the one realization that is shown.
-        simulated: the paper's situation → its inputs, shape and gates.
-        real: the same of the real data.
+        cells: the paper's situations I–IV and "real".
         tables: `simulated` and `times` as they are saved.
         progress: (done, total).
     """
     from jaxtrack import plots
 
-    inputs, shape, gates = simulated["IV"]
-    recorded, real_shape, real_gates = real
-    scans = _scans(key, inputs, shape)
-    real_scans = _scans(key, recorded, real_shape)
     jobs: dict[str, Callable[[], Any]] = {
         "figure_02_sinusoids": lambda: plots.sinusoids(
-            np.asarray(inputs.truth.state)[:, 0, :2], title="Seven points of a straight line"
-        ),
-        "figure_04_ideal_tracks": lambda: plots.scene(
-            None, inputs.truth, None, title="Ideal tracks"
-        ),
-        "figure_05_noisy_tracks": lambda: plots.scene(
-            scans, inputs.truth, None, title="Situation IV, 56 clutter a scan"
-        ),
-        "figure_12_real_tracks": lambda: plots.scene(
-            None, recorded.truth, None, title="Real radar measurements"
-        ),
-        "figure_13_real_cluttered": lambda: plots.scene(
-            real_scans, recorded.truth, None, title="Real measurements, noise and clutter added"
+            np.asarray(cells["IV"].inputs.truth.state)[:, 0, :2],
+            title="Seven points of a straight line",
         ),
         "figure_11_run_times": lambda: _run_times(tables["times"]),
         "scores_top_3": lambda: _scores(tables["simulated"], "top_k"),
         "scores_perfect": lambda: _scores(tables["simulated"], "perfect"),
     }
-    for method in ("NHT", "joint"):
-        jobs[f"figure_06_tracks_{method.lower()}"] = lambda method=method: _initiated(
-            scans, inputs, shape, gates, method, InitiateParams()
+    # The real tracks bend by some 60 m, so more belongs to a line than the noise explains.
+    bent = InitiateParams(member_m=200.0, along_m=300.0, sigma_m=60.0)
+    for name, ideal, noisy, initiated, params in (
+        ("IV", 4, 5, 6, InitiateParams()),
+        ("real", 12, 13, 14, bent),
+    ):
+        cell = cells[name]
+        scans, truth = _first(cell), cell.inputs.truth
+        show = functools.partial(plots.scene, truth=truth)
+        jobs[f"figure_{ideal:02}_ideal"] = functools.partial(show, None, title="Ideal tracks")
+        jobs[f"figure_{noisy:02}_noisy"] = functools.partial(show, scans, title="Noise and clutter")
+        for method in ("NHT", "joint"):
+            jobs[f"figure_{initiated:02}_initiated_{method.lower()}"] = functools.partial(
+                _initiated, scans, cell, method, params
+            )
+    for number, name in zip((7, 8, 9, 10, 15), cells, strict=True):
+        title = f"Votes on the {name} data" if name == "real" else f"Votes in situation {name}"
+        jobs[f"figure_{number:02}_votes"] = functools.partial(
+            _accumulations, cells[name], title=title
         )
-        # The real tracks bend by some 60 m, so more belongs to a line than noise alone says.
-        bent = InitiateParams(member_m=200.0, along_m=300.0, sigma_m=recorded.sensor.sigma_m)
-        jobs[f"figure_14_real_tracks_{method.lower()}"] = lambda method=method, bent=bent: (
-            _initiated(real_scans, recorded, real_shape, real_gates, method, bent)
-        )
-    for number, (name, setting) in enumerate(simulated.items(), start=7):
-        jobs[f"figure_{number:02}_situation_{name.lower()}"] = lambda name=name, setting=setting: (
-            _accumulations(key, *setting[:2], title=f"Votes in situation {name}")
-        )
-    jobs["figure_15_real"] = lambda: _accumulations(
-        key, recorded, real_shape, title="Votes on the real data"
-    )
-    for done, (name, job) in enumerate(sorted(jobs.items())):
+    for done, (name, job) in enumerate(sorted(jobs.items()), start=1):
         job().savefig(out / f"{name}.png", dpi=150)
-        progress(done + 1, len(jobs))
+        progress(done, len(jobs))
 
 
-def _scans(key: Key, inputs: Inputs, shape: Shape) -> Scan:
-    return observe(key, inputs.truth, inputs.radar, detections=shape.detections)
+def _first(cell: Cell) -> Scan:
+    """Return the scans of a cell's first trial."""
+    scans = simulate(cell.key, cell.inputs, detections=cell.shape.detections)
+    return jax.tree.map(lambda x: x[0], scans)
 
 
-def _initiated(
-    scans: Scan, inputs: Inputs, shape: Shape, gates: Gates, method: str, params: InitiateParams
-) -> Any:
+def _initiated(scans: Scan, cell: Cell, method: str, params: InitiateParams) -> Any:
     """Draw the tracks that the lines above the gate start, smoothed by recursive least squares."""
     from jaxtrack import plots
 
-    def tracks(scans: Scan) -> Any:
-        lines: Lines = detect(method, inputs, shape, "raw")(scans)[0]
-        above = lines._replace(mask=lines.mask & (lines.votes >= gates[method, "raw"]))
-        return initiate(scans, above, params)
-
-    found, info = jax.jit(tracks)(scans)
+    lines = jax.tree.map(lambda x: x[0], cell.outcome.lines[method, "raw"])
+    above = lines._replace(mask=lines.mask & (lines.votes >= cell.gates[method, "raw"]))
+    tracks, info = _initiate(scans, above, params)
     return plots.scene(
         scans,
-        inputs.truth,
-        found,
+        cell.inputs.truth,
+        tracks,
         smoothed_m=info.smoothed_m,
         title=f"Initiated tracks, {LONG[method]}",
     )
 
 
-def _accumulations(key: Key, inputs: Inputs, shape: Shape, *, title: str) -> Any:
+_initiate = jax.jit(initiate)
+
+
+def _accumulations(cell: Cell, *, title: str) -> Any:
     from jaxtrack import plots
 
-    scans = _scans(key, inputs, shape)
+    panels, (rho, theta) = _votes(_first(cell), cell.inputs, cell.shape)
+    marks = [(float(r), float(t)) for r, t in zip(rho, theta, strict=True)]
+    rho_max_m = float(np.asarray(cell.inputs.grid.rho_max_m))
+    return plots.accumulations(panels, rho_max_m, title=title, marks=marks)
+
+
+@functools.partial(jax.jit, static_argnames="shape")
+def _votes(scans: Scan, inputs: Inputs, shape: Shape) -> tuple[dict[str, Array], Any]:
+    """Return the accumulators [n_θ, n_ρ] by method, and the true lines from the grid's origin."""
     panels = {}
     for method in COMPARED:
         sizes = sizes_of(shape, method, "raw")
         if method == "HT":
-            votes = accumulator(scans, inputs.grid, sizes=sizes)
+            panels[LONG[method]] = accumulator(scans, inputs.grid, sizes=sizes)
         else:
-            cast = jax.jit(lambda scans, m=method: detect(m, inputs, shape, "raw")(scans)[1].votes)
-            votes = accumulate(cast(scans), inputs.grid, sizes=sizes)
-        panels[LONG[method]] = np.asarray(votes)
-    origin = jnp.asarray(inputs.grid.origin_m, inputs.truth.state.dtype)
-    path = jnp.swapaxes(inputs.truth.state[..., :2], 0, 1) - origin[None, None]
-    marks = np.stack(jax.vmap(least_squares_line)(path), axis=-1)
-    return plots.accumulations(
-        panels,
-        float(inputs.grid.rho_max_m),
-        title=title,
-        marks=[(float(rho), float(theta)) for rho, theta in marks],
-    )
+            _, info = detect(method, inputs, shape, "raw")(scans)
+            panels[LONG[method]] = accumulate(info.votes, inputs.grid, sizes=sizes)
+    path = jnp.swapaxes(inputs.truth.state[..., :2], 0, 1)
+    origin = jnp.asarray(inputs.grid.origin_m, path.dtype)
+    return panels, jax.vmap(least_squares_line)(path - origin[None, None])
 
 
 def _run_times(times: xr.Dataset) -> Any:
@@ -161,7 +147,8 @@ def _scores(simulated: xr.Dataset, count: str) -> Any:
     def share(method: str, situation: str) -> tuple[float, float, float]:
         cell = simulated.sel(match=100.0, estimator=method, situation=situation, peaks="raw")
         k, n = float(cell[count]), int(cell.trials)
-        return k / n, *(float(end) for end in proportion_interval(k, n))
+        lower, upper = proportion_interval(k, n)
+        return k / n, float(lower), float(upper)
 
     situations = [str(name) for name in simulated.situation.values]
     shown = {LONG[m]: {name: share(m, name) for name in situations} for m in LONG}

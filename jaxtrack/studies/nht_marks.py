@@ -48,14 +48,18 @@ def _joint_errors(simulated: xr.Dataset) -> list[Row]:
     cell = simulated.sel(match=50.0, situation="IV-56", estimator="joint", peaks="raw")
     trials = int(cell.trials)
     false = mean(float(cell.false), float(cell.false_error), trials)
-    ends = ("", "_lower", "_upper")
-    rho = Figure(*(float(cell[f"rho_rmse{end}_m"]) for end in ends), trials, "m")
-    theta = Figure(*(float(cell[f"theta_rmse{end}_rad"]) for end in ends), trials, "rad")
+
+    def error(name: str, unit: str) -> Figure:
+        value, lower, upper = (
+            float(cell[f"{name}_rmse{end}_{unit}"]) for end in ("", "_lower", "_upper")
+        )
+        return Figure(value, lower, upper, trials, unit)
+
     at_most = lambda bound: Mark(bound, at_least=False)
     return [
         Row("IV-56: joint, false tracks a run", false, mark=at_most(0.03)),
-        Row("IV-56: joint, RMSE of ρ", rho, mark=at_most(10.0)),
-        Row("IV-56: joint, RMSE of θ", theta, mark=at_most(0.006)),
+        Row("IV-56: joint, RMSE of ρ", error("rho", "m"), mark=at_most(10.0)),
+        Row("IV-56: joint, RMSE of θ", error("theta", "rad"), mark=at_most(0.006)),
     ]
 
 

@@ -11,9 +11,9 @@ import xarray as xr
 from jaxtrack.hough import gate_for_false_rate
 from jaxtrack.metrics import initiation_scores
 from jaxtrack.montecarlo import mean_and_error
-from jaxtrack.studies.nht_trial import METHODS, PEAKS, Outcome
+from jaxtrack.studies.nht_trial import METHODS, PEAKS, Inputs, Outcome, Shape
 from jaxtrack.studies.tables import root_mean_square
-from jaxtrack.types import Array, Lines, Truth
+from jaxtrack.types import Array, Key, Lines, Truth
 
 FALSE_PER_RUN = 0.05  # of the voting methods: whole votes resolve no finer
 FALSE_PER_RUN_JOINT = 0.02
@@ -31,11 +31,13 @@ _WORDS = ("divergence", "divergence_error", "decline", "decline_error")
 
 
 class Cell(NamedTuple):
-    """The trials of some methods in one situation."""
+    """The trials in one situation, and what they were run with."""
 
     situation: str
-    truth: Truth
-    gates: Gates  # NaN where none was derived
+    shape: Shape
+    inputs: Inputs
+    key: Key
+    gates: Gates
     outcome: Outcome  # leaves [trials, ...]
 
 
@@ -66,7 +68,7 @@ def dataset(cells: Sequence[Cell], match_m: Sequence[float]) -> xr.Dataset:
             at = (place, METHODS.index(method), PEAKS.index(form))
             gate = cell.gates[method, form]
             for row, distance_m in enumerate(match_m):
-                summary = _summary(lines, cell.truth, distance_m, gate)
+                summary = _summary(lines, cell.inputs.truth, distance_m, gate)
                 summary["overflow"] = np.mean(cell.outcome.overflow[method, form])
                 for name, value in summary.items():
                     values[name][(row, *at)] = value
@@ -91,20 +93,17 @@ def dataset(cells: Sequence[Cell], match_m: Sequence[float]) -> xr.Dataset:
 
 def _summary(lines: Lines, truth: Truth, match_m: float, gate: float) -> dict[str, Any]:
     path = jnp.swapaxes(truth.state[..., :2], 0, 1)
-    finite = bool(np.isfinite(gate))
-    score = _score(lines, path, truth.mask.all(0), match_m, gate if finite else np.inf)
+    score = _score(lines, path, truth.mask.all(0), match_m, gate)
     score = jax.tree.map(lambda x: np.asarray(x, np.float64), score)
     trials = len(score.found)
     summary: dict[str, Any] = {
         "trials": trials,
         "top_k": score.top_k.sum(),
+        "perfect": score.perfect.sum(),
+        "found_all": (score.found == path.shape[0]).sum(),
         "discrimination": np.median(score.discrimination),
         "gate": gate,
     }
-    if not finite:
-        return summary
-    summary["perfect"] = score.perfect.sum()
-    summary["found_all"] = (score.found == path.shape[0]).sum()
     for name in ("found", "false", "redundant"):
         summary[name], summary[f"{name}_error"] = mean_and_error(getattr(score, name))
     for name, unit in (("rho", "m"), ("theta", "rad")):

@@ -5,21 +5,19 @@ import functools
 import math
 import time
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import numpy as np
 import xarray as xr
 
-from jaxtrack.sensors import clutter_per_scan, observe
-from jaxtrack.studies.nht_trial import SHAPES, Inputs, Shape, detect
-from jaxtrack.types import Key, Scan
+from jaxtrack.sensors import clutter_per_scan
+from jaxtrack.studies.nht_trial import SHAPES, SHOWN, Inputs, Shape, detect, simulate
+from jaxtrack.types import Array, Key, Lines, Scan
 
 TIMED = ("HT", "NHT", "MHT", "IHT", "joint")
 PAPER_S = {"HT": 4.0209, "NHT": 0.1330, "MHT": 0.0637, "IHT": 0.0518}
 """The paper's times on the real data: MATLAB 2014b, two cores at 2.93 GHz."""
 
-_BATCH = 8  # runs, one after another in one compiled program
 _REPEATS = 3
 
 
@@ -61,21 +59,20 @@ def measure(
     """
     clutter = [float(clutter_per_scan(density, simulated(0.0).radar)) for density in densities]
     settings = [(shape_for(c), simulated(c)) for c in clutter] + [(SHAPES["real"], real)]
-    keys = jax.random.split(key, _BATCH)
     jobs = []
     for shape, inputs in settings:
-        scans = _simulate(keys, inputs, detections=shape.detections)
-        jobs += [(method, shape, inputs, scans) for method in TIMED]
+        scans = simulate(key, inputs, detections=shape.detections)
+        jobs += [(method, shape, scans, inputs) for method in TIMED]
     # Two programs are compiled at a time; they run one after another.
     with concurrent.futures.ThreadPoolExecutor(2) as pool:
-        programs = list(pool.map(lambda job: _compiled(*job), jobs))
+        programs = list(pool.map(lambda job: _runs.lower(*job).compile(), jobs))
     seconds, overflow = [], []
-    for done, (program, job) in enumerate(zip(programs, jobs, strict=True)):
+    for done, (program, (_, _, *arguments)) in enumerate(zip(programs, jobs, strict=True)):
         lap = []
         for _ in range(_REPEATS):
             start = time.perf_counter()
-            _, full = jax.block_until_ready(program(job[-1]))
-            lap.append((time.perf_counter() - start) / _BATCH)
+            _, full = jax.block_until_ready(program(*arguments))
+            lap.append((time.perf_counter() - start) / SHOWN)
         seconds.append(np.median(lap))
         overflow.append(np.mean(full))
         progress(done + 1, len(programs))
@@ -96,15 +93,10 @@ def measure(
     )
 
 
-def _compiled(method: str, shape: Shape, inputs: Inputs, scans: Scan) -> Callable[[Scan], Any]:
-    def one(scans: Scan) -> Any:
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def _runs(method: str, shape: Shape, scans: Scan, inputs: Inputs) -> tuple[Lines, Array]:
+    def one(scans: Scan) -> tuple[Lines, Array]:
         lines, info = detect(method, inputs, shape, "raw")(scans)
         return lines, info.overflow
 
-    return jax.jit(lambda batch: jax.lax.map(one, batch)).lower(scans).compile()
-
-
-@functools.partial(jax.jit, static_argnames="detections")
-def _simulate(keys: Key, inputs: Inputs, *, detections: int) -> Scan:
-    look = lambda key: observe(key, inputs.truth, inputs.radar, detections=detections)
-    return jax.lax.map(look, keys)
+    return jax.lax.map(one, scans)

@@ -20,6 +20,7 @@ from jaxtrack.types import Array, Key, Lines, Scan, Truth
 LINES = 8  # that every method may report
 SMOOTH = 2  # cells, of the smoothed peaks
 PEAKS = ("raw", "smoothed")
+SHOWN = 8  # trials whose scans are made again, for run times and pictures
 
 # Methods whose votes land in cells come with raw and with smoothed peaks, the others in one form.
 FORMS = {
@@ -33,7 +34,6 @@ FORMS = {
     "joint": PEAKS[:1],
 }
 METHODS = tuple(FORMS)
-DENSE, PAIRED = METHODS[:1], METHODS[1:]
 
 _RULES = {
     "NHT": neutrosophic.Rules("own_cell"),
@@ -52,6 +52,7 @@ class Shape(NamedTuple):
     predecessors: int
     hypotheses: int
     rho: int = 1600  # cells of 5 m
+    forms: tuple[str, ...] = PEAKS  # of the peaks that are looked at
     candidates: int = 256  # parameter points at which votes are counted
 
 
@@ -59,7 +60,7 @@ class Shape(NamedTuple):
 SHAPES = {
     "10": Shape(32, 1024, 192, 24, 4096),
     "56": Shape(96, 7168, 1536, 48, 32768),
-    "real": Shape(32, 1024, 192, 24, 4096, rho=6800),
+    "real": Shape(32, 1024, 192, 24, 4096, rho=6800, forms=PEAKS[:1]),
 }
 
 
@@ -86,24 +87,34 @@ class Outcome(NamedTuple):
 
 
 @functools.cache
-def trial(shape: Shape, methods: tuple[str, ...]) -> Callable[[Key, Inputs], Outcome]:
-    """Return the function of one trial, the same object for the same arguments."""
+def trial(shape: Shape) -> Callable[[Key, Inputs], Outcome]:
+    """Return the function of one trial, the same object for the same shape."""
 
     def run(key: Key, inputs: Inputs) -> Outcome:
         scans = observe(key, inputs.truth, inputs.radar, detections=shape.detections)
         lines, overflow = {}, {}
-        for method in methods:
-            for form in FORMS[method]:
-                found, info = detect(method, inputs, shape, form)(scans)
-                lines[method, form] = found
-                overflow[method, form] = info.overflow
-        words: tuple[Any, Any] = ({}, {})
-        if "NHT" in methods:
-            sizes = sizes_of(shape, "NHT", "raw")
-            words = target_votes(scans, inputs.truth, _neutrosophic(inputs, "NHT"), sizes)
+        for method, form in forms_of(shape):
+            found, info = detect(method, inputs, shape, form)(scans)
+            lines[method, form] = found
+            overflow[method, form] = info.overflow
+        sizes = sizes_of(shape, "NHT", "raw")
+        words = target_votes(scans, inputs.truth, _neutrosophic(inputs, "NHT"), sizes)
         return Outcome(lines, overflow, *words)
 
     return run
+
+
+@functools.partial(jax.jit, static_argnames="detections")
+def simulate(key: Key, inputs: Inputs, *, detections: int) -> Scan:
+    """Return the scans that the first trials of a run with this key see, stacked [SHOWN]."""
+    keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(key, jnp.arange(SHOWN))
+    look = lambda key: observe(key, inputs.truth, inputs.radar, detections=detections)
+    return jax.lax.map(look, keys)
+
+
+def forms_of(shape: Shape) -> list[tuple[str, str]]:
+    """Return the methods and forms of peaks that trials of a shape look at."""
+    return [(method, form) for method in METHODS for form in FORMS[method] if form in shape.forms]
 
 
 def detect(
@@ -113,6 +124,7 @@ def detect(
     sizes = sizes_of(shape, method, form)
     grid, peaks = inputs.grid, inputs.peaks
     estimate: Callable[..., tuple[Lines, Any]]
+    params: Any
     if method == "joint":
         return lambda scans: _joint(scans, inputs, shape)
     if method == "HT":

@@ -48,7 +48,9 @@ def target_votes(
         own = jnp.take_along_axis(scans.position_m, index[:, None, None], axis=1)[:, 0]
         own = jnp.where(seen[:, None], own, 0.0)
         rho, theta = least_squares_line(path - origin[None])
-        scatter = lambda *votes: divergence(*votes, rho, theta, rho_step, theta_step)
+
+        def scatter(line: tuple[Array, Array], weight: Array) -> Array:
+            return divergence(*line, weight, rho, theta, rho_step, theta_step)
 
         # The standard transform's curves, where they pass the true θ, and where they meet.
         seen_weight = seen.astype(dtype)
@@ -73,9 +75,9 @@ def target_votes(
         looks, intervals = float(seen.shape[0]), float(both.shape[0])
         sure = 1 - jnp.asarray(params.p_false, dtype)
         wide = {
-            "HT": scatter(at, jnp.broadcast_to(theta, at.shape), seen_weight),
-            "MHT": scatter(*line, once),
-            "NHT": scatter(*line, earned),
+            "HT": scatter((at, jnp.broadcast_to(theta, at.shape)), seen_weight),
+            "MHT": scatter(line, once),
+            "NHT": scatter(line, earned),
         }
         missing = {
             "HT": decline(curves, jnp.asarray(looks, dtype)),

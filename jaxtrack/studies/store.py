@@ -41,6 +41,9 @@ def save(out: pathlib.Path, datasets: Mapping[str, xr.Dataset], summary: Mapping
     """
     mode: Any = "w"
     for group, dataset in datasets.items():
+        # Of the kinds of text, zarr's format specifies the one of variable length.
+        text = {name: x.astype(object) for name, x in dataset.coords.items() if x.dtype.kind == "U"}
+        dataset = dataset.assign_coords(text)
         dataset.to_zarr(out / RESULTS, group=group, mode=mode, consolidated=False)
         mode = "a"
     entries = {**summary, "groups": list(datasets), "made_with": made_with()}

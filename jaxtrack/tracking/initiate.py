@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxtrack.filtering.rls import RlsInput, rls
 from jaxtrack.hough.pairs import SpeedGate, detection_times
 from jaxtrack.models.line import point_line_distance
+from jaxtrack.models.motion import look_times
 from jaxtrack.numerics.checks import check_size
 from jaxtrack.numerics.safe import safe_min
 from jaxtrack.types import Array, Lines, Scan, Stage, Tracks
@@ -68,7 +69,8 @@ def initiate(
     nearest = min(nearest, detections)
     counts = scans.mask & scans.valid[:, None]
     position = jnp.where(counts[..., None], scans.position_m, 0.0)
-    time = detection_times(scans) - scans.time_s[-1]
+    before, end = look_times(scans)
+    time = detection_times(scans) - end
     look = jnp.repeat(jnp.arange(looks), nearest)
 
     def one(rho: Array, theta: Array) -> tuple[Array, ...]:
@@ -105,7 +107,6 @@ def initiate(
         z, t = position[jnp.arange(looks), index], time[jnp.arange(looks), index]
         # Far from its true values the regression starts at the first detection, not at zero.
         first = z[jnp.argmax(mine)]
-        before = jnp.where(scans.valid, scans.time_s - scans.time_s[-1], 0.0)
         span = jnp.maximum(-safe_min(before), 1.0)
         phi = jnp.stack([jnp.ones_like(t), t / span], axis=-1)
         fit = rls(regressors=2, dimensions=2, forgetting=params.forgetting, initial_variance=1e4)
@@ -122,7 +123,7 @@ def initiate(
     keep = lines.mask & (mine.sum(-1) >= params.min_looks)
     clear = lambda x: jnp.where(keep.reshape(-1, *(1,) * (x.ndim - 1)), x, 0.0)
     tracks = Tracks(
-        time_s=scans.time_s[-1],
+        time_s=end,
         mean=clear(mean),
         covariance=clear(covariance),
         mask=keep,

@@ -19,6 +19,7 @@ from jaxtrack.hough.grid import Grid
 from jaxtrack.hough.joint import JointSizes
 from jaxtrack.hough.pairs import SpeedGate
 from jaxtrack.hough.peaks import Peaks
+from jaxtrack.models.motion import look_times
 from jaxtrack.models.observation import PositionSensor
 from jaxtrack.montecarlo import monte_carlo
 from jaxtrack.numerics.checks import check_choice, check_size
@@ -189,7 +190,7 @@ def _estimate(
     if method == "joint":
         params = joint.JointParams(sensor, speed, gate)
         tracks, info = joint.estimate(scans, params, sizes=sizes)
-        dt = scans.time_s - scans.time_s[-1]
+        dt, _ = look_times(scans)
         path = tracks.mean[:, None, :2] + tracks.mean[:, None, 2:4] * dt[None, :, None]
         seen = (info.responsibility.sum(-1) > 0.5).sum(-1)
         return tracks, seen, path, info.overflow
@@ -253,7 +254,7 @@ def _target_free(key: Key, like: Scan, radar: Radar, detections: int) -> Scan:
 def _nothing(scans: Scan, tracks: int, field: Field, why: str) -> tuple[Tracks, WindowInfo]:
     number = lambda *shape: jnp.zeros(shape, scans.position_m.dtype)
     empty = Tracks(
-        time_s=scans.time_s[-1],
+        time_s=look_times(scans)[1],
         mean=number(tracks, 4),
         covariance=number(tracks, 4, 4),
         mask=jnp.zeros(tracks, bool),
