@@ -111,9 +111,10 @@ def changes_of_jax_config(tree):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
             if ast.unparse(node.func).endswith("config.update"):
                 yield node.lineno
-        elif isinstance(node, ast.Assign):
-            if any(ast.unparse(target).startswith("jax.config.") for target in node.targets):
-                yield node.lineno
+        elif isinstance(node, ast.Assign) and any(
+            ast.unparse(target).startswith("jax.config.") for target in node.targets
+        ):
+            yield node.lineno
 
 
 def test_only_the_command_line_changes_settings_of_jax():
