@@ -317,6 +317,9 @@ def test_degenerate_looks_give_no_nan(name):
         np.testing.assert_array_equal(table[~tracks.mask], 0.0)
     np.testing.assert_array_equal(tracks.identity == -1, ~tracks.mask)
     np.testing.assert_array_equal(tracks.stage == Stage.EMPTY, ~tracks.mask)
+    # Where no pair could be a target, there is no track however low the gate.
+    lowest, info = track(degenerate(name), joint_params(gate=-1e3))
+    assert bool(lowest.mask.any()) == bool(np.isfinite(info.hypothesis_score).any())
 
 
 # --- gradients ------------------------------------------------------------------------------------
