@@ -120,7 +120,7 @@ def scores(
             handles.append(Line2D([], [], color=INK, lw=1.0, ls=(0, (3, 2))))
             labels.append("wanted")
         if handles:
-            figure.legend(handles, labels, loc="outside lower center", ncols=min(len(handles), 6))
+            figure.legend(handles, labels, loc="outside lower center", ncols=min(len(handles), 4))
         if not situations:
             say_empty(axes, "no runs")
         dress(axes, grid="y")
