@@ -16,7 +16,7 @@ from jaxtrack.metrics import least_squares_line
 from jaxtrack.montecarlo import proportion_interval
 from jaxtrack.studies.nht_report import COMPARED
 from jaxtrack.studies.nht_scores import Cell
-from jaxtrack.studies.nht_trial import Inputs, Shape, detect, simulate, sizes_of
+from jaxtrack.studies.nht_trial import SHAPES, Inputs, Shape, detect, sizes_of
 from jaxtrack.tracking import InitiateParams, initiate
 from jaxtrack.types import Array, Scan
 
@@ -82,9 +82,13 @@ def draw(
 
 
 def _first(cell: Cell) -> Scan:
-    """Return the scans of a cell's first trial."""
-    scans = simulate(cell.key, cell.inputs, detections=cell.shape.detections)
-    return jax.tree.map(lambda x: x[0], scans)
+    """Return the scans of a cell's first trial, in arrays of one size for all simulated ones."""
+    scans = jax.tree.map(lambda x: x[0], cell.outcome.scans)
+    free = SHAPES["56"].detections - scans.mask.shape[1]
+    return scans._replace(
+        position_m=np.pad(scans.position_m, ((0, 0), (0, free), (0, 0))),
+        mask=np.pad(scans.mask, ((0, 0), (0, free))),
+    )
 
 
 def _initiated(scans: Scan, cell: Cell, method: str, params: InitiateParams) -> Any:
@@ -109,7 +113,8 @@ _initiate = jax.jit(initiate)
 def _accumulations(cell: Cell, *, title: str) -> Any:
     from jaxtrack import plots
 
-    panels, (rho, theta) = _votes(_first(cell), cell.inputs, cell.shape)
+    shape = SHAPES["56"]._replace(rho=cell.shape.rho)
+    panels, (rho, theta) = _votes(_first(cell), cell.inputs, shape)
     marks = [(float(r), float(t)) for r, t in zip(rho, theta, strict=True)]
     rho_max_m = float(np.asarray(cell.inputs.grid.rho_max_m))
     return plots.accumulations(panels, rho_max_m, title=title, marks=marks)

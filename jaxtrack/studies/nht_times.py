@@ -4,20 +4,22 @@ import concurrent.futures
 import functools
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import jax
 import numpy as np
 import xarray as xr
 
-from jaxtrack.sensors import clutter_per_scan
-from jaxtrack.studies.nht_trial import SHAPES, SHOWN, Inputs, Shape, detect, simulate
+from jaxtrack.sensors import observe
+from jaxtrack.studies.nht_trial import SHAPES, Inputs, Shape, detect
 from jaxtrack.types import Array, Key, Lines, Scan
 
 TIMED = ("HT", "NHT", "MHT", "IHT", "joint")
 PAPER_S = {"HT": 4.0209, "NHT": 0.1330, "MHT": 0.0637, "IHT": 0.0518}
 """The paper's times on the real data: MATLAB 2014b, two cores at 2.93 GHz."""
 
+RUNS = 8  # one after another in one compiled program
 _REPEATS = 3
 
 
@@ -41,42 +43,59 @@ def shape_for(clutter: float) -> Shape:
     )
 
 
+class Setting(NamedTuple):
+    """Scans to time the methods on, and what the methods are run with."""
+
+    clutter: float  # a look
+    shape: Shape
+    inputs: Inputs
+    scans: Scan  # [runs, T]
+
+
+def simulated(key: Key, clutter: float, inputs: Inputs) -> Setting:
+    """Return a setting of new scans, in arrays made for this clutter."""
+    shape = shape_for(clutter)
+    keys = jax.random.split(key, RUNS)
+    look = lambda key: observe(key, inputs.truth, inputs.radar, detections=shape.detections)
+    return Setting(clutter, shape, inputs, jax.jit(jax.vmap(look))(keys))
+
+
 def measure(
-    key: Key,
-    densities: tuple[float, ...],
-    simulated: Callable[[float], Inputs],
-    real: Inputs,
-    progress: Callable[[int, int], None],
+    settings: Sequence[Setting], real: Setting, progress: Callable[[int, int], None]
 ) -> xr.Dataset:
     """Return seconds a run, on one device, compilation apart; the median of three.
 
     Args:
-        key: random key.
-        densities: clutter a square kilometre.
-        simulated: clutter a look → inputs of a simulated scene.
-        real: inputs of the real data.
+        settings: of simulated scenes.
+        real: of the real data.
         progress: (done, total).
     """
-    clutter = [float(clutter_per_scan(density, simulated(0.0).radar)) for density in densities]
-    settings = [(shape_for(c), simulated(c)) for c in clutter] + [(SHAPES["real"], real)]
-    jobs = []
-    for shape, inputs in settings:
-        scans = simulate(key, inputs, detections=shape.detections)
-        jobs += [(method, shape, scans, inputs) for method in TIMED]
+    jobs = [
+        # The joint vote has no cells: its programs differ by the other sizes only.
+        (
+            method,
+            setting.shape._replace(rho=1) if method == "joint" else setting.shape,
+            *setting[2:],
+        )
+        for setting in (*settings, real)
+        for method in TIMED
+    ]
     # Two programs are compiled at a time; they run one after another.
+    distinct = {job[:2]: job for job in jobs}
     with concurrent.futures.ThreadPoolExecutor(2) as pool:
-        programs = list(pool.map(lambda job: _runs.lower(*job).compile(), jobs))
+        compiled = pool.map(lambda job: _runs.lower(*job).compile(), distinct.values())
+        programs = dict(zip(distinct, compiled, strict=True))
     seconds, overflow = [], []
-    for done, (program, (_, _, *arguments)) in enumerate(zip(programs, jobs, strict=True)):
+    for done, (name, shape, inputs, scans) in enumerate(jobs):
         lap = []
         for _ in range(_REPEATS):
             start = time.perf_counter()
-            _, full = jax.block_until_ready(program(*arguments))
-            lap.append((time.perf_counter() - start) / SHOWN)
+            _, full = jax.block_until_ready(programs[name, shape](inputs, scans))
+            lap.append((time.perf_counter() - start) / len(scans.mask))
         seconds.append(np.median(lap))
         overflow.append(np.mean(full))
-        progress(done + 1, len(programs))
-    table = np.reshape(seconds, (len(settings), len(TIMED)))
+        progress(done + 1, len(jobs))
+    table = np.reshape(seconds, (len(settings) + 1, len(TIMED)))
     full = np.reshape(overflow, table.shape)
     return xr.Dataset(
         {
@@ -86,15 +105,18 @@ def measure(
             "paper_seconds": ("estimator", [PAPER_S.get(name, np.nan) for name in TIMED]),
         },
         coords={
-            "clutter": ("clutter", clutter, {"long_name": "false detections a look"}),
-            "density_per_km2": ("clutter", list(densities)),
+            "clutter": (
+                "clutter",
+                [setting.clutter for setting in settings],
+                {"long_name": "false detections a look"},
+            ),
             "estimator": list(TIMED),
         },
     )
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
-def _runs(method: str, shape: Shape, scans: Scan, inputs: Inputs) -> tuple[Lines, Array]:
+def _runs(method: str, shape: Shape, inputs: Inputs, scans: Scan) -> tuple[Lines, Array]:
     def one(scans: Scan) -> tuple[Lines, Array]:
         lines, info = detect(method, inputs, shape, "raw")(scans)
         return lines, info.overflow
