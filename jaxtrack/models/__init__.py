@@ -1,5 +1,6 @@
 """How targets move and how they are seen: straight lines, motion, observation likelihoods."""
 
+from jaxtrack.models.frames import earth_to_polar, polar_to_earth
 from jaxtrack.models.line import (
     line_covariance,
     line_difference,
@@ -16,16 +17,21 @@ from jaxtrack.models.observation import (
     position_responsibility,
     position_scores,
 )
+from jaxtrack.models.sonar import BeamSonar, beam_bearings
 
 __all__ = [
     "POSITION",
+    "BeamSonar",
     "Observation",
     "PositionSensor",
+    "beam_bearings",
+    "earth_to_polar",
     "line_covariance",
     "line_difference",
     "line_through",
     "look_times",
     "point_line_distance",
+    "polar_to_earth",
     "position_log_likelihood_ratio",
     "position_responsibility",
     "position_scores",
