@@ -70,16 +70,12 @@ def measure(
         real: of the real data.
         progress: (done, total).
     """
-    jobs = [
-        # The joint vote has no cells: its programs differ by the other sizes only.
-        (
-            method,
-            setting.shape._replace(rho=1) if method == "joint" else setting.shape,
-            *setting[2:],
-        )
-        for setting in (*settings, real)
-        for method in TIMED
-    ]
+    jobs: list[tuple[str, Shape, Inputs, Scan]] = []
+    for setting in (*settings, real):
+        for method in TIMED:
+            # The joint vote has no cells: its programs differ by the other sizes only.
+            shape = setting.shape._replace(rho=1) if method == "joint" else setting.shape
+            jobs.append((method, shape, setting.inputs, setting.scans))
     # Two programs are compiled at a time; they run one after another.
     distinct = {job[:2]: job for job in jobs}
     with concurrent.futures.ThreadPoolExecutor(2) as pool:

@@ -9,6 +9,7 @@ import json
 import os
 import pathlib
 import platform
+import shutil
 from collections.abc import Mapping
 from typing import Any
 
@@ -39,13 +40,12 @@ def save(out: pathlib.Path, datasets: Mapping[str, xr.Dataset], summary: Mapping
         >>> int(groups["a"].x.sum()), summary["seed"]
         (3, 0)
     """
-    mode: Any = "w"
+    shutil.rmtree(out / RESULTS, ignore_errors=True)
     for group, dataset in datasets.items():
         # Of the kinds of text, zarr's format specifies the one of variable length.
         text = {name: x.astype(object) for name, x in dataset.coords.items() if x.dtype.kind == "U"}
         dataset = dataset.assign_coords(text)
-        dataset.to_zarr(out / RESULTS, group=group, mode=mode, consolidated=False)
-        mode = "a"
+        dataset.to_zarr(out / RESULTS, group=group, consolidated=False)
     entries = {**summary, "groups": list(datasets), "made_with": made_with()}
     text = json.dumps(_plain(entries), indent=2, ensure_ascii=False, allow_nan=False)
     (out / SUMMARY).write_text(text + "\n", encoding="utf-8")
