@@ -5,6 +5,9 @@ BIN := .venv/bin
 VENV := .venv/.made-by-$(notdir $(PYTHON))
 RUN := $(VENV)-run
 DEV := $(VENV)-dev
+# Examples run operation by operation: what one has compiled the next ones read.
+CACHED := JAX_COMPILATION_CACHE_DIR=.jax_cache JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0 \
+	JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES=-1
 
 .PHONY: reproduce reproduce-full test test-slow lint bench notebooks clean
 
@@ -16,7 +19,7 @@ reproduce-full: $(RUN) ## the stated numbers of trials; says beforehand how long
 
 test: $(DEV) ## everything but the slow tests
 	$(BIN)/python -m pytest -n 2 -m "not slow" tests
-	$(BIN)/python -m pytest -n 2 --doctest-modules jaxtrack
+	$(CACHED) $(BIN)/python -m pytest -n 2 --doctest-modules jaxtrack
 
 test-slow: $(DEV) ## the long ones: marks on rates, memory
 	$(BIN)/python -m pytest -m slow tests

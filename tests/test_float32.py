@@ -13,7 +13,6 @@ import sys
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 from jaxtrack import hough, metrics, montecarlo, sensors, tracking
 from jaxtrack.models import PositionSensor
@@ -112,8 +111,7 @@ def report():
     }
 
 
-@pytest.fixture(scope="module")
-def seen():
+def test_everything_works_in_float32():
     root = pathlib.Path(__file__).resolve().parent.parent
     options = {
         "JAX_ENABLE_X64": "0",
@@ -132,19 +130,10 @@ def seen():
         check=False,
     )
     assert run.returncode == 0, run.stderr
-    return json.loads(run.stdout)
-
-
-def test_everything_is_float32_and_finite(seen):
+    seen = json.loads(run.stdout)
     assert seen["wrong"] == []
-
-
-def test_every_method_finds_lines(seen):
     assert len(seen["lines"]) == 7
     assert all(count > 0 for count in seen["lines"].values())
-
-
-def test_the_joint_vote_finds_the_three_targets(seen):
     assert seen["tracks"] == 3
     assert seen["ospa_m"] < 20.0
     assert seen["smoothed_ospa_m"] < 20.0

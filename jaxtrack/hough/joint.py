@@ -86,7 +86,8 @@ def estimate(
         ...              jnp.stack([400.0 * jnp.arange(5.0), jnp.full(5, 80.0)], -1)[:, None],
         ...              jnp.ones((5, 1), bool))
         >>> sensor = PositionSensor(p_detect=0.99, clutter_per_m2=1e-5, sigma_m=10.0)
-        >>> tracks, info = estimate(scans, JointParams(sensor), sizes=JointSizes(hypotheses=64))
+        >>> run = jax.jit(lambda *at: estimate(*at, sizes=JointSizes(hypotheses=64)))
+        >>> tracks, info = run(scans, JointParams(sensor))
         >>> print(int(tracks.mask.sum()), abs(tracks.mean[0].round(1)))
         1 [1600.   80.  200.    0.]
     """
@@ -114,9 +115,10 @@ def estimate(
     start, there = start[best], there[best]
 
     def climb(state: Array, scans: Scan) -> Array:
-        for blur in _BLURS:
-            state = observation.refine(state, scans, observation.blur(fixed_sensor, blur))
-        return state
+        def step(state: Array, blur: Array) -> tuple[Array, None]:
+            return observation.refine(state, scans, observation.blur(fixed_sensor, blur)), None
+
+        return jax.lax.scan(step, state, jnp.asarray(_BLURS, dtype))[0]
 
     def claim(state: Array, weight: Array) -> Array:
         one = lambda x, scan: observation.responsibility(x, scan, fixed_sensor)

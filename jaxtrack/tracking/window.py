@@ -129,14 +129,12 @@ def initiate_window(
     # Clutter seldom makes two tracks that pass: to look for three of them saves most of the time.
     fewer = sizes._replace(tracks=min(max_tracks, 3)) if isinstance(sizes, JointSizes) else sizes
     trial = _trial(method, fewer, field.most_detections)
-    # The dense accumulator of one scene already fills the cache.
-    micro_batch = 1 if method == "standard" else 4
     run = monte_carlo(
         trial,
         key,
         trials,
         (Scenes(scans, radar), model),
-        micro_batch=micro_batch,
+        micro_batch=1,  # the tables of one scene already fill the cache
         on_progress=on_progress,
     )
     score, found, overflow = run.values
