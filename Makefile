@@ -24,11 +24,12 @@ test: $(DEV) ## everything but the slow tests
 test-slow: $(DEV) ## the long ones: marks on rates, memory
 	$(BIN)/python -m pytest -m slow tests
 
-lint: $(DEV) ## style, types, layers
+lint: $(DEV) ## style, types, layers, notebooks without outputs
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+	$(BIN)/nbstripout --verify notebooks/*.ipynb
 
 bench: $(DEV) ## ours against NumPy and the paper's times
 	$(BIN)/python benchmarks/run.py

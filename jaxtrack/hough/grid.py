@@ -27,7 +27,8 @@ class Sizes(NamedTuple):
 
     Votes are evaluated at the `candidates` parameter points that a cheap upper bound ranks first;
     `pairs` bounds the candidate pairs of one interval, `predecessors` those that end in one
-    detection. What does not fit raises the `overflow` flag of the method's info.
+    detection. What does not fit raises the `overflow` flag of the method's info. Where votes have
+    covariances of their own the bound is a rule of thumb: it goes by the typical one.
     """
 
     lines: int = 8  # lines that are extracted

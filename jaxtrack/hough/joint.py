@@ -51,6 +51,7 @@ class JointInfo(NamedTuple):
 
     responsibility: Array  # [M, K, N] how far each detection is a track's
     overflow: Array  # [] not all pairs were scored
+    definite: Array  # [M] the information is positive definite; else the covariance is a guess
     hypothesis: Array  # [C, 4] the best candidates, at the last look
     hypothesis_score: Array  # [C] their scores with the noise widened
 
@@ -73,7 +74,8 @@ def estimate(
         observation: the sensor's likelihood.
 
     Returns:
-        Tracks in order of their scores; `covariance` is the inverse of the observed information.
+        Tracks in order of their scores; `covariance` is the inverse of the observed information (it
+        carries no gradient), `existence` the posterior probability for prior log-odds of −gate.
         The search is not differentiated: gradients are those of the maximum it ends in, by the
         implicit function theorem.
 
@@ -149,7 +151,7 @@ def estimate(
     begin = states, jnp.ones((sizes.tracks, *counts.shape), dtype)
     (states, free), _ = jax.lax.scan(refit, begin, length=_REFITS)
 
-    def finish(state: Array, free: Array) -> tuple[Array, Array, Array]:
+    def finish(state: Array, free: Array) -> tuple[Array, ...]:
         def total(state: Array, scans: Scan, sensor: PositionSensor) -> Array:
             seen = scans._replace(weight=jnp.asarray(scans.weight) * free)
             one = lambda x, scan: observation.log_likelihood_ratio(x, scan, sensor)
@@ -164,12 +166,14 @@ def estimate(
             state, fixed, fixed_sensor
         )
         refined = state + jnp.where(better, move, move - jax.lax.stop_gradient(move))
-        return refined, covariance, total(refined, scans, sensor)
+        return refined, covariance, total(refined, scans, sensor), definite
 
-    mean, covariance, score = jax.vmap(finish)(*jax.lax.stop_gradient((states, free)))
+    states, free = jax.lax.stop_gradient((states, free))
+    mean, covariance, score, definite = jax.vmap(finish)(states, free)
     keep = (score >= gate) & jnp.isfinite(picked)
     order = jnp.argsort(jnp.where(keep, -score, jnp.inf))
-    mean, covariance, score, keep, free = (x[order] for x in (mean, covariance, score, keep, free))
+    table = mean, covariance, score, keep, free, definite
+    mean, covariance, score, keep, free, definite = (x[order] for x in table)
     claims = jax.vmap(claim)(jax.lax.stop_gradient(mean), whole[None] * free)
     clear = lambda x: jnp.where(keep.reshape(-1, *(1,) * (x.ndim - 1)), x, 0)
     tracks = Tracks(
@@ -182,7 +186,7 @@ def estimate(
         existence=clear(jax.nn.sigmoid(score - gate)),
         log_score=clear(score),
     )
-    return tracks, JointInfo(clear(claims), overflow, start, start_score)
+    return tracks, JointInfo(clear(claims), overflow, keep & definite, start, start_score)
 
 
 def lines_of(tracks: Tracks) -> Lines:

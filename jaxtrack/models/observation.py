@@ -26,6 +26,7 @@ class PositionSensor(NamedTuple):
     p_detect: Array | float  # [] probability that a target is detected in a look
     clutter_per_m2: Array | float  # [] λ, expected false detections a square metre and look
     sigma_m: Array | float  # [] noise of each coordinate, where a scan has no covariance of its own
+    widening: Array | float = 1.0  # [] factor on the noise, a scan's own covariance included
 
 
 class Observation(NamedTuple):
@@ -160,8 +161,8 @@ def position_refine(state: Array, scans: Scan, params: PositionSensor) -> Array:
 
 
 def blur_position(params: PositionSensor, factor: Array | float) -> PositionSensor:
-    """Return a sensor with its own sigma multiplied (a scan's covariances stay)."""
-    return params._replace(sigma_m=jnp.asarray(params.sigma_m) * factor)
+    """Return a sensor whose noise is wider by a factor, also where a scan has covariances."""
+    return params._replace(widening=jnp.asarray(params.widening) * factor)
 
 
 POSITION = Observation(
@@ -198,6 +199,7 @@ def _detections(scan: Scan, params: PositionSensor) -> Detection:
         unit = jnp.broadcast_to(jnp.eye(2, dtype=dtype), scan.covariance_m2.shape)
         r = jnp.where(counts[:, None, None], scan.covariance_m2, unit)
         xx, xy, yy = r[:, 0, 0], r[:, 0, 1], r[:, 1, 1]
+    xx, xy, yy = (x * jnp.asarray(params.widening, dtype) ** 2 for x in (xx, xy, yy))
     determinant = xx * yy - xy**2
     weight = jnp.ones_like(xx) if scan.weight is None else scan.weight
     delay = jnp.zeros_like(xx) if scan.delay_s is None else scan.delay_s

@@ -49,7 +49,8 @@ def initiate(
         nearest: how many detections of a look, the nearest to the line, are considered; static.
 
     Returns:
-        Tracks at the time of the last look, with the lines' votes as scores, and who belongs.
+        Tracks at the time of the last look, with the lines' votes as scores and existence 1 (a
+        count of votes is no likelihood), and who belongs.
 
     Example:
         >>> scans = Scan(2.0 * jnp.arange(4.0), jnp.ones(4, bool),
@@ -100,7 +101,8 @@ def initiate(
         mine = jnp.take_along_axis(ratio, chosen, axis=-1)[:, 0] <= 1
         return mine, jnp.take_along_axis(index, chosen, axis=-1)[:, 0]
 
-    mine, index = jax.vmap(one)(lines.rho_m, lines.theta_rad)
+    # Line by line: the hypotheses of one line times all detections near it fill the cache.
+    mine, index = jax.lax.map(lambda line: one(*line), (lines.rho_m, lines.theta_rad))
     mine = mine & lines.mask[:, None]
 
     def smooth(mine: Array, index: Array) -> tuple[Array, Array, Array]:

@@ -68,7 +68,7 @@ def choose_sizes(
     and are rounded up to powers of two, so that recordings alike share one compiled program.
     """
     looks = int(np.shape(scans.time_s)[0])
-    gate = None if method in ("standard", "modified") else speed
+    gate = None if method == "modified" else speed
     if method == "joint":
         # From half a window apart on; farther where that makes more pairs than fit.
         gap, pairs = looks, 0
@@ -80,14 +80,15 @@ def choose_sizes(
             gap, pairs = gap - 1, pairs + more
         hypotheses, notes = _fitting(pairs, 1024, MOST_HYPOTHESES, "pairs of distant looks")
         return JointSizes(tracks=tracks, hypotheses=hypotheses, gap=gap), notes
-    tables = [_admissible(scans, k, k + 1, gate) for k in range(looks - 1)]
-    pairs, notes = _fitting(
-        max(int(table.sum()) for table in tables), 256, MOST_PAIRS, "pairs of successive looks"
-    )
-    ending = max(int(table.sum(axis=0).max()) for table in tables)
-    predecessors = 1
+    pairs, predecessors = 1, 1
+    notes: tuple[str, ...] = ()
+    if method != "standard":
+        tables = [_admissible(scans, k, k + 1, gate) for k in range(looks - 1)]
+        most = max(int(table.sum()) for table in tables)
+        pairs, notes = _fitting(most, 256, MOST_PAIRS, "pairs of successive looks")
     if method == "neutrosophic":
-        predecessors, more = _fitting(ending, 16, MOST_PREDECESSORS, "pairs ending in a detection")
+        most = max(int(table.sum(axis=0).max()) for table in tables)
+        predecessors, more = _fitting(most, 16, MOST_PREDECESSORS, "pairs ending in a detection")
         notes += more
     # A detection's noise moves its curve by sigma; the line of two near detections is much poorer.
     cell_m, cell_rad, smooth = _CELLS["standard" if method == "standard" else "pairs"]

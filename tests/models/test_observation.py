@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxtrack.models.observation import (
+    POSITION,
     PositionSensor,
     position_log_likelihood_ratio,
     position_refine,
@@ -187,3 +188,18 @@ def test_gradients_are_finite_on_degenerate_looks(case):
         state, look, SENSOR
     )
     assert all(np.isfinite(g).all() for g in jax.tree.leaves(gradient))
+
+
+def test_blur_widens_own_covariances_too():
+    scan = Scan(
+        jnp.array(0.0),
+        jnp.array(True),
+        jnp.array([[3.0, -4.0]]),
+        jnp.array([True]),
+        covariance_m2=jnp.array([[[30.0, 5.0], [5.0, 20.0]]]),
+    )
+    assert scan.covariance_m2 is not None
+    wide = scan._replace(covariance_m2=4.0 * scan.covariance_m2)
+    state = jnp.array([1.0, 2.0, 0.0, 0.0])
+    got = position_log_likelihood_ratio(state, scan, POSITION.blur(SENSOR, 2.0))
+    np.testing.assert_allclose(got, position_log_likelihood_ratio(state, wide, SENSOR), rtol=1e-14)
