@@ -31,6 +31,7 @@ def observe_beams(
     beams: int = 90,
     false_alarms: str = "per_beam",
     echo: Echo | None = None,
+    clutter_degrees: int = 4,
 ) -> BeamScan:
     """Return the looks of a multi-beam sonar at a scene, stacked [T].
 
@@ -49,7 +50,8 @@ def observe_beams(
         beams: how many divide the sector, static.
         false_alarms: `"per_beam"`: each beam that may give one does so with P_F; `"per_scan"`: at
             most one a look, with P_F, in one of these beams, all alike.
-        echo: how loud targets and clutter are; None: no intensity.
+        echo: how loud targets are in the clutter; None: no intensity.
+        clutter_degrees: of the clutter's texture, for `echo_amplitudes`, static.
 
     Returns:
         Scans whose every look is valid; silent beams hold zero, their mask is False.
@@ -116,8 +118,8 @@ def observe_beams(
     mask = detected | alarm
     intensity = None
     if echo is not None:
-        loudness = echo_amplitudes(keys[6], detected, echo, dtype=dtype)
-        intensity = jnp.where(mask, loudness, 0.0)
+        loud = echo_amplitudes(keys[6], detected, echo, degrees=clutter_degrees, dtype=dtype)
+        intensity = jnp.where(mask, loud, 0.0)
     valid = jnp.ones(looks, bool)
     return BeamScan(truth.time_s, valid, reported_m, mask, pose, intensity=intensity)
 
