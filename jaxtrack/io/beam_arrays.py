@@ -96,15 +96,17 @@ def beam_scans_from_arrays(
         check(values[mask], name, where)
 
     epoch, origin = frame_of(times_s, positions_m, epoch_s, origin_m, axes)
-    scans = BeamScan(
-        time_s=times_s - epoch,  # pyright: ignore[reportArgumentType]
-        valid=np.ones(looks, bool),  # pyright: ignore[reportArgumentType]
-        range_m=np.where(mask, ranges_m, 0.0),  # pyright: ignore[reportArgumentType]
-        mask=mask,  # pyright: ignore[reportArgumentType]
-        pose=Pose(positions_m - origin, headings_rad),  # pyright: ignore[reportArgumentType]
-        **{name: np.where(mask, values, 0.0) for name, values in given.items()},  # pyright: ignore
-    )
-    return Recording(scans, epoch, origin, axes)
+    pose: list[Any] = [positions_m - origin, headings_rad]
+    fields: dict[str, Any] = {
+        "time_s": times_s - epoch,
+        "valid": np.ones(looks, bool),
+        "range_m": np.where(mask, ranges_m, 0.0),
+        "mask": mask,
+        "pose": Pose(*pose),
+    }
+    for name, values in given.items():
+        fields[name] = np.where(mask, values, 0.0)
+    return Recording(BeamScan(**fields), epoch, origin, axes)
 
 
 def _look(row: int, column: str) -> str:
