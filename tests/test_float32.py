@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxtrack import hough, metrics, montecarlo, sensors, tracking
-from jaxtrack.models import PositionSensor
+from jaxtrack.models import BeamSonar, PositionSensor
 from jaxtrack.types import Lines
 
 CLUTTER = 10.0
@@ -61,6 +61,22 @@ def trial(key, initial):
     return scores, truth.state
 
 
+def sonar_looks(key, truth):
+    """Return the paper's and a random scene, what the sonar makes of them, and positions."""
+    scenes = (
+        sensors.motion_elements_scene(),
+        sensors.tracking_scene(truth),
+        sensors.random_sonar_scene(key, BeamSonar(), sensors.SonarSceneLimits(), targets=3)[0],
+    )
+    looks = []
+    for scene, false_alarms in zip(scenes, ("per_beam", "per_scan", "per_beam"), strict=True):
+        scans = sensors.observe_beams(
+            key, *scene, false_alarms=false_alarms, echo=sensors.Echo(), beams=30
+        )
+        looks.append((scans, jax.vmap(sensors.scan_of_beams, (0, None))(scans, scene.sonar)))
+    return [(scene.truth, scene.pose) for scene in scenes], looks
+
+
 def report():
     """Run everything; return what went wrong, and what the joint vote found."""
     wrong = []
@@ -82,6 +98,9 @@ def report():
     scene = sensors.crossing_targets("IV", CLUTTER)
     scans = sensors.observe(jax.random.key(7), scene.truth, scene.radar, detections=32)
     check("scans", scans)
+    for truth in sensors.TRUTHS:
+        looks = jax.jit(functools.partial(sonar_looks, truth=truth))(jax.random.key(9))
+        check(f"sonar, {truth}", looks)
     found = estimators(scans)
     for name, result in found.items():
         check(name, result)

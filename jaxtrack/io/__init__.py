@@ -2,7 +2,9 @@
 
     range, bearing ─ position_from_polar ─┐
     arrays of positions ──────────────────┴─ scans_from_arrays ─┐
-    a CSV file ── read_detections ──────────────────────────────┴─► Recording
+    a CSV file ── read_detections ──────────────────────────────┤
+    a beam sonar's ranges ── beam_scans_from_arrays ────────────┤
+    a CSV file ── read_beams ───────────────────────────────────┴─► Recording
                                                                       │  │
     a CSV file ◄── write_tracks ◄── Tracks ◄── estimators ◄── scans ──┘  │
                          └───────────── epoch, origin, axes ─────────────┘
@@ -13,6 +15,8 @@ values end here, as a `DataError` that names file, row and column.
 """
 
 from jaxtrack.io.arrays import scans_from_arrays
+from jaxtrack.io.beam_arrays import beam_scans_from_arrays
+from jaxtrack.io.beams_csv import read_beams
 from jaxtrack.io.detections_csv import read_detections
 from jaxtrack.io.errors import DataError
 from jaxtrack.io.polar import covariance_from_polar, position_from_polar
@@ -22,8 +26,10 @@ from jaxtrack.io.tracks_csv import write_tracks
 __all__ = [
     "DataError",
     "Recording",
+    "beam_scans_from_arrays",
     "covariance_from_polar",
     "position_from_polar",
+    "read_beams",
     "read_detections",
     "scans_from_arrays",
     "write_tracks",

@@ -14,6 +14,7 @@ from jaxtrack.io.errors import (
 )
 from jaxtrack.io.recording import Recording, Rows, looks_of_rows, record
 from jaxtrack.numerics.checks import check_array
+from jaxtrack.types import Scan
 
 
 def scans_from_arrays(
@@ -28,7 +29,7 @@ def scans_from_arrays(
     origin_m: Any = None,
     max_detections: int | None = None,
     axes: str = "x_y",
-) -> Recording:
+) -> Recording[Scan]:
     """Group detections into looks and pad the looks to one width.
 
     Rows are in the order of their looks: times (or scan numbers, where given) never run back.
@@ -72,13 +73,13 @@ def scans_from_arrays(
         >>> recording.scans.time_s.tolist(), recording.scans.mask.tolist()
         ([0.0, 2.0], [[True, True], [True, False]])
     """
-    times_s = _floats("time_s", time_s, ("D",))
+    times_s = float_array("time_s", time_s, ("D",))
     size = len(times_s)
-    positions_m = _floats("position_m", position_m, (size, 2))
+    positions_m = float_array("position_m", position_m, (size, 2))
     scans = None if scan is None else _integers("scan", scan, size)
-    weights = None if weight is None else _floats("weight", weight, (size,))
+    weights = None if weight is None else float_array("weight", weight, (size,))
     covariances_m2 = (
-        None if covariance_m2 is None else _floats("covariance_m2", covariance_m2, (size, 2, 2))
+        None if covariance_m2 is None else float_array("covariance_m2", covariance_m2, (size, 2, 2))
     )
 
     check_numbers(times_s, "time_s", _row)
@@ -98,7 +99,7 @@ def scans_from_arrays(
             )
         look, look_time_s = looks_of_rows(times_s, scans, _row)
     else:
-        look_time_s = _floats("scan_time_s", scan_time_s, ("T",))
+        look_time_s = float_array("scan_time_s", scan_time_s, ("T",))
         look = _looks_among(times_s, scans, look_time_s)
     rows = Rows(times_s, scans, np.ones(size, bool), positions_m, weights, covariances_m2)
     return record(
@@ -116,7 +117,13 @@ def _row(row: int, column: str) -> str:
     return f"{column}, row {row} (the first is 0)"
 
 
-def _floats(name: str, value: Any, shape: tuple[Any, ...]) -> np.ndarray:
+def float_array(name: str, value: Any, shape: tuple[Any, ...]) -> np.ndarray:
+    """Return an argument as a float64 array, its shape checked as `check_array` does.
+
+    Raises:
+        ValueError: a shape differs.
+        TypeError: not numbers.
+    """
     array = _array(name, value)
     if array.shape == (0,) and shape[0] == 0:
         array = np.zeros(shape)  # an empty list knows only one of its axes

@@ -1,4 +1,4 @@
-"""The cells of a CSV file, and where they stand: encoding, separator and shape, but no meaning."""
+"""The cells of a CSV file, and where they stand: encoding, separator, shape, names and numbers."""
 
 import csv
 import io
@@ -6,7 +6,9 @@ import os
 import pathlib
 from typing import NamedTuple
 
-from jaxtrack.io.errors import DataError
+import numpy as np
+
+from jaxtrack.io.errors import DataError, Where, check_numbers
 
 
 class Table(NamedTuple):
@@ -65,3 +67,87 @@ def read_table(path: str | os.PathLike[str]) -> Table:
     cells_of = zip(*(cells for _, cells in body), strict=True)
     stripped = ([cell.strip() for cell in cells] for cells in cells_of)
     return Table(name, [line for line, _ in body], dict(zip(columns, stripped, strict=True)))
+
+
+def where_in(table: Table) -> Where:
+    """Return what words the place of a cell, by the row's index and the column's name."""
+
+    def where(row: int, column: str) -> str:
+        return f"{table.name}, row {table.line[row]}, column {column}"
+
+    return where
+
+
+def check_columns(
+    table: Table, required: tuple[str, ...], known: tuple[str, ...], *, instead: str = ""
+) -> None:
+    """Check the columns' names.
+
+    Args:
+        table: whose header it is.
+        required: what must be there.
+        known: what may be there; a misspelt name must not pass for none.
+        instead: what could stand for a missing column, for the message.
+
+    Raises:
+        DataError: a column is missing, or unknown.
+    """
+    for name in required:
+        if name not in table.cells:
+            other = "" if name == "time_s" else instead
+            raise DataError(
+                f"{table.name}: got columns {', '.join(table.cells)}, want column {name}{other}"
+            )
+    for name in table.cells:
+        if name not in known:
+            raise DataError(
+                f"{table.name}, column {name!r}: got an unknown column, want {', '.join(known)}"
+            )
+
+
+def filled(table: Table, first: str, second: str) -> np.ndarray:
+    """Return the rows that hold a detection, [R] bool: either of two columns is not empty."""
+    pairs = zip(table.cells[first], table.cells[second], strict=True)
+    return np.array([a != "" or b != "" for a, b in pairs])
+
+
+def numbers_in(table: Table, column: str, rows: np.ndarray) -> np.ndarray:
+    """Return the numbers of a column in some rows, float64.
+
+    Args:
+        table: the file's.
+        column: its name.
+        rows: indices into the table's rows.
+
+    Raises:
+        DataError: a cell is empty, or no finite number.
+    """
+    where = where_in(table)
+    cells = table.cells[column]
+    values = np.array([_number(cells[row], column, int(row), where) for row in rows], np.float64)
+    check_numbers(values, column, lambda row, column: where(int(rows[row]), column))
+    return values
+
+
+def whole_numbers(values: np.ndarray, column: str, where: Where) -> np.ndarray:
+    """Return values as integers.
+
+    Raises:
+        DataError: the first that is none.
+    """
+    fractional = values != np.round(values)
+    if fractional.any():
+        row = int(np.argmax(fractional))
+        raise DataError(f"{where(row, column)}: got {values[row]:g}, want a whole number")
+    return values.astype(np.int64)
+
+
+def _number(cell: str, column: str, row: int, where: Where) -> float:
+    if cell == "":
+        raise DataError(f"{where(row, column)}: got an empty cell, want a number")
+    try:
+        return float(cell)
+    except ValueError:
+        raise DataError(
+            f"{where(row, column)}: got {cell!r}, want a number with a decimal point"
+        ) from None

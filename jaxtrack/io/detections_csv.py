@@ -28,7 +28,15 @@ import os
 
 import numpy as np
 
-from jaxtrack.io.csv_table import Table, read_table
+from jaxtrack.io.csv_table import (
+    Table,
+    check_columns,
+    filled,
+    numbers_in,
+    read_table,
+    where_in,
+    whole_numbers,
+)
 from jaxtrack.io.errors import (
     DataError,
     Where,
@@ -40,6 +48,7 @@ from jaxtrack.io.errors import (
 from jaxtrack.io.polar import AXES_OF_BEARING, covariance_from_polar, position_from_polar
 from jaxtrack.io.recording import Recording, Rows, looks_of_rows, record
 from jaxtrack.numerics.checks import check_choice
+from jaxtrack.types import Scan
 
 _ALWAYS = ("time_s", "scan", "weight")
 _CARTESIAN = ("x_m", "y_m")
@@ -60,7 +69,7 @@ def read_detections(
     epoch_s: float | None = None,
     origin_m: tuple[float, float] | np.ndarray | None = None,
     max_detections: int | None = None,
-) -> Recording:
+) -> Recording[Scan]:
     r"""Read detections from a CSV file; the module's table tells the columns.
 
     Separated by commas, semicolons or tabs (the header decides), decimal points, UTF-8 with or
@@ -118,16 +127,10 @@ def _check_header(table: Table) -> bool:
             f"{table.name}: got columns of both x_m, y_m and range_m, bearing_deg, want one pair"
         )
     known = _KNOWN_POLAR if polar else _KNOWN_CARTESIAN
+    required = ("time_s", *(_POLAR if polar else _CARTESIAN))
+    instead = "" if polar else " (or range_m, bearing_deg)"
+    check_columns(table, required, known, instead=instead)
     listed = ", ".join(columns)
-    for name in ("time_s", *(_POLAR if polar else _CARTESIAN)):
-        if name not in columns:
-            other = "" if polar or name == "time_s" else " (or range_m, bearing_deg)"
-            raise DataError(f"{table.name}: got columns {listed}, want column {name}{other}")
-    for name in columns:
-        if name not in known:
-            raise DataError(
-                f"{table.name}, column {name!r}: got an unknown column, want {', '.join(known)}"
-            )
     for group in _COME_TOGETHER:
         missing = [name for name in group if name not in columns]
         if 0 < len(missing) < len(group):
@@ -143,26 +146,19 @@ def _rows(table: Table, *, polar: bool, bearing: str) -> tuple[Rows, Where]:
     """Check every cell and make them rows; also return how to word the place of a row."""
     every = np.arange(len(table.line))
     first, second = _POLAR if polar else _CARTESIAN
-    detected = np.array(
-        [a != "" or b != "" for a, b in zip(table.cells[first], table.cells[second], strict=True)]
-    )
+    detected = filled(table, first, second)
     shown = every[detected]
-
-    def where(row: int, column: str) -> str:
-        return f"{table.name}, row {table.line[row]}, column {column}"
+    where = where_in(table)
 
     def where_shown(row: int, column: str) -> str:
         return where(int(shown[row]), column)
 
-    def column(name: str, rows: np.ndarray = shown) -> np.ndarray:
-        cells = table.cells[name]
-        values = np.array([_number(cells[row], name, int(row), where) for row in rows], np.float64)
-        check_numbers(values, name, lambda row, name: where(int(rows[row]), name))
-        return values
-
-    time_s = column("time_s", every)
-    scan = _scan_numbers(column("scan", every), where) if "scan" in table.cells else None
-    given = {name: column(name) for name in table.cells if name not in ("time_s", "scan")}
+    time_s = numbers_in(table, "time_s", every)
+    scan = None
+    if "scan" in table.cells:
+        scan = whole_numbers(numbers_in(table, "scan", every), "scan", where)
+    others = (name for name in table.cells if name not in ("time_s", "scan"))
+    given = {name: numbers_in(table, name, shown) for name in others}
     if "weight" in given:
         check_weights(given["weight"], "weight", where_shown)
     covariance_m2 = None
@@ -206,22 +202,3 @@ def _from_polar(
         own_heading_rad=heading_rad,
     )
     return position_m, covariance_m2
-
-
-def _number(cell: str, column: str, row: int, where: Where) -> float:
-    if cell == "":
-        raise DataError(f"{where(row, column)}: got an empty cell, want a number")
-    try:
-        return float(cell)
-    except ValueError:
-        raise DataError(
-            f"{where(row, column)}: got {cell!r}, want a number with a decimal point"
-        ) from None
-
-
-def _scan_numbers(values: np.ndarray, where: Where) -> np.ndarray:
-    fractional = values != np.round(values)
-    if fractional.any():
-        row = int(np.argmax(fractional))
-        raise DataError(f"{where(row, 'scan')}: got {values[row]:g}, want a whole number")
-    return values.astype(np.int64)

@@ -5,13 +5,13 @@ A recording keeps what the estimators must not see: the float64 epoch and origin
 cast, and put back when tracks are written.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple
 
 import numpy as np
 
 from jaxtrack.io.errors import DataError, Where, check_rising, number
 from jaxtrack.numerics.checks import check_choice, check_size
-from jaxtrack.types import Scan
+from jaxtrack.types import Scan, ScanT
 
 AXES = ("x_y", "north_east")
 """What the two position axes are: the user's own x and y, or x north and y east."""
@@ -23,12 +23,12 @@ LONGEST_GAP = 1000
 """More missing scan numbers in a row than this are a slip in the numbering, not silence."""
 
 
-class Recording(NamedTuple):
+class Recording(NamedTuple, Generic[ScanT]):
     """Looks at a scene, and what leads back to the user's own time and coordinates."""
 
-    scans: Scan  # NumPy float64, every field with a leading [T]; relative to epoch and origin
+    scans: ScanT  # NumPy float64, every field with a leading [T]; relative to epoch and origin
     epoch_s: float  # the user's time at which scans.time_s is zero
-    origin_m: np.ndarray  # [2] float64, the user's position at which scans.position_m is zero
+    origin_m: np.ndarray  # [2] float64, the user's position at which the scans' positions are zero
     axes: str  # one of `AXES`
 
 
@@ -103,6 +103,31 @@ def automatic_origin_m(position_m: np.ndarray) -> np.ndarray:
     return np.round(position_m.mean(axis=0) / 1000.0) * 1000.0
 
 
+def frame_of(
+    look_time_s: np.ndarray, position_m: np.ndarray, epoch_s: float | None, origin_m: Any, axes: str
+) -> tuple[float, np.ndarray]:
+    """Return a recording's epoch and origin, [2], its axes checked.
+
+    Args:
+        look_time_s: [T].
+        position_m: [D, 2], what stands around the origin.
+        epoch_s: None: the time of the first look.
+        origin_m: [2], or None: as `automatic_origin_m` finds it.
+        axes: one of `AXES`.
+
+    Raises:
+        ValueError: an argument is wrong.
+    """
+    check_choice("axes", axes, AXES)
+    epoch = float(look_time_s[0]) if epoch_s is None else float(epoch_s)
+    origin = automatic_origin_m(position_m) if origin_m is None else np.asarray(origin_m)
+    if not np.isfinite(epoch):
+        raise ValueError(f"epoch_s: got {number(epoch)}, want a finite number of seconds")
+    if origin.shape != (2,) or not np.isfinite(origin).all():
+        raise ValueError(f"origin_m: got {origin.tolist()}, want two finite numbers")
+    return epoch, origin.astype(np.float64)
+
+
 def record(
     rows: Rows,
     look: np.ndarray,
@@ -112,7 +137,7 @@ def record(
     origin_m: Any,
     max_detections: int | None,
     axes: str,
-) -> Recording:
+) -> Recording[Scan]:
     """Pad the detections of every look to one width and make times and positions relative.
 
     Args:
@@ -127,15 +152,7 @@ def record(
     Raises:
         ValueError: a look holds more than `max_detections`, or an argument is wrong.
     """
-    check_choice("axes", axes, AXES)
-    epoch = float(look_time_s[0]) if epoch_s is None else float(epoch_s)
-    origin = automatic_origin_m(rows.position_m) if origin_m is None else np.asarray(origin_m)
-    if not np.isfinite(epoch):
-        raise ValueError(f"epoch_s: got {number(epoch)}, want a finite number of seconds")
-    if origin.shape != (2,) or not np.isfinite(origin).all():
-        raise ValueError(f"origin_m: got {origin.tolist()}, want two finite numbers")
-    origin = origin.astype(np.float64)
-
+    epoch, origin = frame_of(look_time_s, rows.position_m, epoch_s, origin_m, axes)
     shown = look[rows.detected]
     count = np.bincount(shown, minlength=len(look_time_s))
     fullest = int(count.max())

@@ -1,5 +1,9 @@
-"""Simulated and recorded sensors: a radar that reports positions, and the scenes it looks at."""
+"""Simulated and recorded sensors, and the scenes they look at.
 
+A radar that reports positions, and a multi-beam sonar that reports ranges.
+"""
+
+from jaxtrack.sensors.echoes import Echo, echo_amplitudes
 from jaxtrack.sensors.radar import Radar, clutter_per_scan, move, observe
 from jaxtrack.sensors.scenes import (
     SITUATIONS,
@@ -9,16 +13,37 @@ from jaxtrack.sensors.scenes import (
     radar_measurements,
     random_targets,
 )
+from jaxtrack.sensors.sonar import FALSE_ALARMS, in_sight, observe_beams, scan_of_beams
+from jaxtrack.sensors.sonar_scenes import (
+    TRUTHS,
+    SonarScene,
+    SonarSceneLimits,
+    motion_elements_scene,
+    random_sonar_scene,
+    tracking_scene,
+)
 
 __all__ = [
+    "FALSE_ALARMS",
     "SITUATIONS",
+    "TRUTHS",
+    "Echo",
     "Radar",
     "Scene",
     "SceneLimits",
+    "SonarScene",
+    "SonarSceneLimits",
     "clutter_per_scan",
     "crossing_targets",
+    "echo_amplitudes",
+    "in_sight",
+    "motion_elements_scene",
     "move",
     "observe",
+    "observe_beams",
     "radar_measurements",
+    "random_sonar_scene",
     "random_targets",
+    "scan_of_beams",
+    "tracking_scene",
 ]
