@@ -13,7 +13,13 @@ from jaxtrack.sensors.scenes import (
     radar_measurements,
     random_targets,
 )
-from jaxtrack.sensors.sonar import FALSE_ALARMS, in_sight, observe_beams, scan_of_beams
+from jaxtrack.sensors.sonar import (
+    FALSE_ALARMS,
+    in_sight,
+    observe_beams,
+    observe_known_beams,
+    scan_of_beams,
+)
 from jaxtrack.sensors.sonar_scenes import (
     TRUTHS,
     SonarScene,
@@ -41,6 +47,7 @@ __all__ = [
     "move",
     "observe",
     "observe_beams",
+    "observe_known_beams",
     "radar_measurements",
     "random_sonar_scene",
     "random_targets",

@@ -75,6 +75,35 @@ def observe_beams(
         P_M and P_F are read as conditional on a target being there or not.
         `"per_scan"` and `clutter_in_missed_beam` are not the paper's.
     """
+    options = {"beams": beams, "false_alarms": false_alarms, "echo": echo}
+    return observe_known_beams(key, truth, pose, sonar, **options, clutter_degrees=clutter_degrees)[
+        0
+    ]
+
+
+def observe_known_beams(
+    key: Key,
+    truth: Truth,
+    pose: Pose,
+    sonar: BeamSonar,
+    *,
+    beams: int = 90,
+    false_alarms: str = "per_beam",
+    echo: Echo | None = None,
+    clutter_degrees: int = 4,
+) -> tuple[BeamScan, Array]:
+    """Return what `observe_beams` does, and which target each detection comes from, [T, B].
+
+    −1 stands for none. Floors may know this, estimators may not.
+
+    Example:
+        >>> truth = Truth(jnp.zeros(1), jnp.array([[[80.0, 1.0, 0.0, 0.0]]]), jnp.ones((1, 1), bool))
+        >>> pose = Pose(jnp.zeros((1, 2)), jnp.zeros(1))
+        >>> sonar = BeamSonar(p_miss=0.0, p_false=0.0)
+        >>> _, origin = observe_known_beams(jax.random.key(0), truth, pose, sonar)
+        >>> print(origin[0, 44:47])
+        [-1  0 -1]
+    """  # noqa: E501
     check_array("truth.mask", truth.mask, shape=("T", "K"))
     looks, targets = truth.mask.shape
     check_array("truth.state", truth.state, shape=(looks, targets, 4))
@@ -97,7 +126,8 @@ def observe_beams(
     heard &= present & (measured_m > 0) & (measured_m <= scope_m)
     echo_m = jnp.where(here & heard[..., None], measured_m[..., None], jnp.inf)
     # The row of infinity stands for no echo, and lets a scene be empty.
-    nearest_m = safe_min(jnp.pad(echo_m, ((0, 0), (0, 1), (0, 0)), constant_values=jnp.inf), 1)
+    echoes_m = jnp.pad(echo_m, ((0, 0), (0, 1), (0, 0)), constant_values=jnp.inf)
+    nearest_m = safe_min(echoes_m, 1)
     detected = jnp.isfinite(nearest_m)
 
     shape = (looks, beams)
@@ -121,7 +151,8 @@ def observe_beams(
         loud = echo_amplitudes(keys[6], detected, echo, degrees=clutter_degrees, dtype=dtype)
         intensity = jnp.where(mask, loud, 0.0)
     valid = jnp.ones(looks, bool)
-    return BeamScan(truth.time_s, valid, reported_m, mask, pose, intensity=intensity)
+    origin = jnp.where(detected, jnp.argmin(echoes_m, axis=1).astype(jnp.int32), -1)
+    return BeamScan(truth.time_s, valid, reported_m, mask, pose, intensity=intensity), origin
 
 
 def in_sight(truth: Truth, pose: Pose, sonar: BeamSonar) -> Truth:

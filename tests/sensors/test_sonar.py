@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from jaxtrack.models import BeamSonar
-from jaxtrack.sensors import in_sight, observe_beams, scan_of_beams
+from jaxtrack.sensors import in_sight, observe_beams, observe_known_beams, scan_of_beams
 from jaxtrack.types import BeamScan, Pose, Truth
 from tests.oracles import frames
 
@@ -283,3 +283,20 @@ def test_the_covariance_is_the_spread_of_a_target_s_true_position():
     position = scan_of_beams(scan, BeamSonar(sigma_m=2.0))
     np.testing.assert_allclose(spread.mean(axis=0), position.position_m[60], atol=0.02)
     np.testing.assert_allclose(np.cov(spread.T), position.covariance_m2[60], atol=0.05)
+
+
+def test_origins_tell_echoes_from_false_alarms():
+    # Targets 0 and 1 share beam 55, the nearer echo is reported; target 2 is out of sight.
+    truth, pose = scene((80.0, 10.3), (60.0, 10.6), (60.0, 70.0), looks=4000)
+    sonar = BeamSonar(p_miss=0.4, p_false=0.3, sigma_m=1.0, clutter_in_missed_beam=1.0)
+    scans, origin = jax.jit(observe_known_beams)(jax.random.key(2), truth, pose, sonar)
+    same = jax.jit(observe_beams)(jax.random.key(2), truth, pose, sonar)
+    np.testing.assert_array_equal(same.range_m, scans.range_m)
+    range_m, mask, origin = np.asarray(scans.range_m), np.asarray(scans.mask), np.asarray(origin)
+    assert set(np.unique(np.delete(origin, 55, axis=1))) == {-1}
+    for target, place_m, share in ((0, 80.0, 0.4 * 0.6), (1, 60.0, 0.6)):
+        own = origin[:, 55] == target
+        assert_share(own, share)
+        assert mask[own, 55].all()
+        assert (np.abs(range_m[own, 55] - place_m) < 6.0).all()
+    assert_share(mask[origin[:, 55] < 0, 55], 0.3)
