@@ -95,7 +95,7 @@ def merge(
         Z* = (M_i Z_i + M_j Z_j) / (M_i + M_j),   M_i = Σ_j w_j μ_ij,   M_ind = D (1 − K^(−α_c))
 
     with D the mean distance of the K centres from each other. The new centre, in the lower slot,
-    may be combined again.
+    may be combined again. Centres that coincide up to rounding are one pattern whatever M_ind.
 
     Args:
         centres: [K, D].
@@ -135,10 +135,11 @@ def merge(
         apart, pair = distances(centres, active)
         apart = jnp.where(pair, apart, jnp.inf).ravel()
         closest = jnp.argmin(apart)
-        near = apart[closest] < gate
         order = jnp.arange(slots)
         first, second = order == closest // slots, order == closest % slots
         read = lambda x, at: jnp.where(at, x, 0.0).sum()
+        rounding = 45 * jnp.finfo(dtype).eps * jnp.sqrt(read((centres**2).sum(-1), first))
+        near = (apart[closest] < gate) | (apart[closest] <= rounding)
         mass_1, mass_2 = read(mass, first), read(mass, second)
         total = mass_1 + mass_2
         # Patterns without any sample count alike.

@@ -13,13 +13,19 @@ def squared_distance(x, z):
     return sum((float(a) - float(b)) ** 2 for a, b in zip(x, z, strict=True))
 
 
+def coincide(x, z):
+    """Whether two places are one, up to rounding."""
+    scale = math.sqrt(squared_distance(x, np.zeros(len(x))))
+    return math.sqrt(squared_distance(x, z)) <= 1e-15 * scale
+
+
 def memberships(samples, centres, m):
     """Return μ_ij [K][N]: equation 22; centres that coincide with a sample share it equally."""
     mu = np.zeros((len(centres), len(samples)))
     slots = [i for i, z in enumerate(centres) if z is not None]
     for j, x in enumerate(samples):
         d = {i: math.sqrt(squared_distance(x, centres[i])) for i in slots}
-        on_it = [i for i in slots if d[i] == 0.0]
+        on_it = [i for i in slots if coincide(x, centres[i])]
         for i in slots:
             if on_it:
                 mu[i, j] = 1.0 / len(on_it) if i in on_it else 0.0
@@ -64,7 +70,10 @@ def objective(samples, weights, centres, m):
 
 
 def merge(samples, weights, centres, m, alpha_c):
-    """Return the centres after all combinations, closest pair first: equations 24–26."""
+    """Return the centres after all combinations, closest pair first: equations 24–26.
+
+    Centres that coincide up to rounding are one pattern, whatever the threshold.
+    """
     centres = [None if z is None else np.array(z, float) for z in centres]
     mu = memberships(samples, centres, m)
     mass = [sum(weights[k] * mu[i, k] for k in range(len(samples))) for i in range(len(centres))]
@@ -80,9 +89,12 @@ def merge(samples, weights, centres, m, alpha_c):
             for i, j in pairs
             if centres[i] is not None and centres[j] is not None
         ]
-        if not near or min(near)[0] >= threshold:
+        if not near:
             return centres
-        _, i, j = min(near)
+        distance, i, j = min(near)
+        scale = math.sqrt(squared_distance(centres[i], np.zeros(len(centres[i]))))
+        if distance >= threshold and distance > 1e-14 * scale:
+            return centres
         if mass[i] + mass[j] > 0.0:
             centres[i] = (mass[i] * centres[i] + mass[j] * centres[j]) / (mass[i] + mass[j])
         else:
