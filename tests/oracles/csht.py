@@ -25,15 +25,22 @@ def hard_votes(points, grid):
     return votes
 
 
-def direct_gaussian(points, grid, sigma):
-    """Return Σ w exp(−(n − t v − n0)² / 2σ²) in all cells."""
+def direct_shares(points, grid, sigma):
+    """Return Σ w [Φ((upper edge − r)/σ) − Φ((lower edge − r)/σ)] in all cells, r = n − t v.
+
+    Votes outside the grid are dropped.
+    """
     v_min, n_v, h_v, low, n_n0, h = grid
+    phi = lambda z: 0.5 * (1.0 + math.erf(z / math.sqrt(2.0)))
     votes = np.zeros((n_v, n_n0))
     for t, n, weight in points:
         for i in range(n_v):
+            r = n - t * (v_min + i * h_v)
+            if not low <= r <= low + n_n0 * h:
+                continue
             for j in range(n_n0):
-                miss = n - t * (v_min + i * h_v) - (low + (j + 0.5) * h)
-                votes[i, j] += weight * math.exp(-(miss**2) / (2.0 * sigma**2))
+                edge = low + j * h
+                votes[i, j] += weight * (phi((edge + h - r) / sigma) - phi((edge - r) / sigma))
     return votes
 
 
@@ -94,6 +101,8 @@ def csht(detections, p, grid_n, grid_e, *, slots, rounds, updates, iterations):
             groups[misses.index(min(misses))].append((t, e, w))
     targets = []
     for (v_n, n0), group in zip(lines, groups, strict=True):
+        if not group:
+            continue
         v_e, e0 = single_line(group, p["lambda_line"], grid_e)
         targets.append((n0, e0, v_n, v_e))
     return targets
