@@ -185,6 +185,7 @@ def estimate(
 
     Note:
         The covariance is that of least squares through the track's own detections, with noise σ.
+        The last two clusters never merge: their distance is D itself, and M_ind is less.
     """
     sizes = _check(scans, sizes)
     dtype = scans.position_m.dtype

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtrack.numerics.checks import check_array, check_size
 from jaxtrack.types import Array, Scan
 
+
 class LineGrid(NamedTuple):
     """Velocities v_min + i h_v, and cells [n_min + j h_n, n_min + (j + 1) h_n) of n0. Traced."""
 

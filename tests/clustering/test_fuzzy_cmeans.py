@@ -22,7 +22,7 @@ belong = jax.jit(memberships)
 
 @st.composite
 def problems(draw):
-    """Samples, weights, mask, centres, active and m, with coincidences and empty sets among them."""
+    """Samples, weights, mask, centres, active and m; coincidences and empty sets are among them."""
     n, k = draw(st.sampled_from(SHAPES))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     samples, centres = rng.normal(size=(n, 2)), rng.normal(size=(k, 2))
@@ -138,9 +138,7 @@ def test_the_gradient_agrees_with_central_differences():
     samples, weights, start = blobs(2, size=9)
 
     def loss(samples, weights, m):
-        got = fuzzy_cmeans(
-            samples, weights, start, fuzzifier=m, tolerance=1e-14, iterations=300
-        )
+        got = fuzzy_cmeans(samples, weights, start, fuzzifier=m, tolerance=1e-14, iterations=300)
         return (got.centres * jnp.array([[1.0, -0.5]])).sum() + (got.membership[0] ** 2).sum()
 
     assert_gradients_agree(loss, samples, weights, 1.9, atol=1e-8)

@@ -143,10 +143,14 @@ def test_the_operations_do_happen():
         p = IsodataParams()
         mu = belong(samples, centres, active=active, fuzzifier=p.fuzzifier)
         mass = np.asarray(mu).sum(-1)
-        counts[0] += bool((np.asarray(run_merge(centres, ones, mass, merge_exponent=0.5)[1]) != ones).any())
+        counts[0] += bool(
+            (np.asarray(run_merge(centres, ones, mass, merge_exponent=0.5)[1]) != ones).any()
+        )
         found = run_partition(samples, np.ones(12), centres, active, mu, params=p)
         counts[1] += bool((np.asarray(run_delete(active, 12.0, found, params=p)) != active).any())
-        counts[2] += bool((np.asarray(run_divide(centres, active, found, params=p)[1]) != active).any())
+        counts[2] += bool(
+            (np.asarray(run_divide(centres, active, found, params=p)[1]) != active).any()
+        )
         counts[3] += bool(run(samples, np.ones(12), centres, active=active, params=p).settled)
     assert (counts >= 10).all(), counts
 
@@ -154,9 +158,7 @@ def test_the_operations_do_happen():
 @jax.jit
 def gradient_of(samples, weights, mask, centres, active, p):
     def loss(samples, weights, centres, p):
-        got = isodata(
-            samples, weights, centres, mask=mask, active=active, params=p, sizes=SIZES
-        )
+        got = isodata(samples, weights, centres, mask=mask, active=active, params=p, sizes=SIZES)
         return (got.centres**2).sum() + got.mass.sum() + (got.membership**2).sum()
 
     return jax.grad(loss, (0, 1, 2, 3))(samples, weights, centres, p)

@@ -154,9 +154,7 @@ def divide(centres, spread, threshold, aggregation, a, lambda_d):
     for i, z in enumerate(centres):
         if z is None or aggregation[i] > a:
             continue
-        excess = [
-            s / f if s > f else 0.0 for s, f in zip(spread[i], threshold, strict=True)
-        ]
+        excess = [s / f if s > f else 0.0 for s, f in zip(spread[i], threshold, strict=True)]
         if max(excess) > 0.0:
             wide.append((-max(excess), i, excess.index(max(excess))))
     free = [i for i, z in enumerate(centres) if z is None]
@@ -185,8 +183,7 @@ def isodata(samples, weights, centres, p, *, rounds, updates, iterations):
         if r < rounds - 1:
             centres = divide(centres, spread, threshold, aggregation, p["a"], p["lambda_d"])
         if all(
-            (a is None and b is None)
-            or (a is not None and b is not None and np.array_equal(a, b))
+            (a is None and b is None) or (a is not None and b is not None and np.array_equal(a, b))
             for a, b in zip(before, centres, strict=True)
         ):
             break
