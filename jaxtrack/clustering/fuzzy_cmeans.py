@@ -7,6 +7,7 @@ weight w counts as w samples at one place. Where centres coincide with a sample,
 equally. Patterns live in slots, some of which are not active.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -207,7 +208,7 @@ def _means(
     return pull @ samples / jnp.where(alive, total, 1.0)[:, None], alive
 
 
-def _solve(linear: jax.typing.ArrayLike, y: Array) -> Array:
+def _solve(linear: Callable[[Array], Array], y: Array) -> Array:
     """Solve linear(x) = y for a linear map of [K, D] by its dense matrix."""
     size = y.size
     basis = jnp.eye(size, dtype=y.dtype).reshape(size, *y.shape)

@@ -370,9 +370,8 @@ def isodata(
     )
     last = partition(samples, weights, found.centres, active, found.membership, params=params)
     mass = (weights[None, :] * found.membership).sum(-1)
-    aggregation = last.aggregation
     return Isodata(
-        found.centres, active, found.membership, mass, aggregation, found.residual, settled
+        found.centres, active, found.membership, mass, last.aggregation, found.residual, settled
     )
 
 
@@ -386,12 +385,11 @@ def _decide(
 ) -> tuple[Array, Array, Array]:
     """Return centres, active mask and whether the patterns came to rest."""
     total, fuzzifier = weights.sum(), params.fuzzifier
-    State = tuple[Array, Array, Array, Array]
 
-    def go_on(state: State) -> Array:
+    def go_on(state: tuple[Array, Array, Array, Array]) -> Array:
         return (state[0] < sizes.rounds) & ~state[3]
 
-    def go(state: State) -> State:
+    def go(state: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
         turn, centres, active, _ = state
         settle = lambda _, z: update(samples, weights, z, active=active, fuzzifier=fuzzifier)
         before = jax.lax.fori_loop(0, sizes.updates, settle, centres)

@@ -45,9 +45,8 @@ def test_hard_votes_equal_the_loop(seed):
     got = hard(points, GRID, sizes=SIZES)
     np.testing.assert_allclose(got, csht.hard_votes(as_list(points), CELLS), atol=1e-12)
     assert got.sum() < 13 * points.weight.sum()  # some votes were outside, and are dropped
-    whole = points._replace(
-        position_m=np.full_like(points.position_m, 10.0), time_s=points.time_s * 0
-    )
+    place = np.full_like(points.position_m, 10.0)
+    whole = points._replace(position_m=place, time_s=0 * points.time_s)
     np.testing.assert_allclose(hard(whole, GRID, sizes=SIZES).sum(), 13 * points.weight.sum())
 
 
@@ -76,9 +75,8 @@ def test_soft_votes_are_within_their_bound_of_the_direct_sum(fine, sigma):
         expected = csht.direct_shares(as_list(points), CELLS, sigma)
         error = np.abs(soft(points, GRID, sigma, sizes=sizes) - expected).max()
         assert error <= bound * points.weight.sum() + 1e-12
-        single = points._replace(
-            weight=1.0 * ((points.weight > 0) & (np.arange(20).reshape(5, 4) == 6))
-        )
+        sixth = np.arange(20).reshape(5, 4) == 6
+        single = points._replace(weight=np.where(sixth & (points.weight > 0), 1.0, 0.0))
         expected = csht.direct_shares(as_list(single), CELLS, sigma)
         worst = max(worst, np.abs(soft(single, GRID, sigma, sizes=sizes) - expected).max())
     assert worst <= bound + 1e-12
@@ -92,9 +90,8 @@ def test_the_bound_is_nearly_reached():
     worst = 0.0
     for n in 60.0 + 0.75 * (np.arange(16) + 0.5):
         points = Points(np.zeros((1, 1)), np.full((1, 1), n), np.ones((1, 1)))
-        error = soft(points, grid, sigma, sizes=sizes) - csht.direct_shares(
-            [(0, n, 1)], cells, sigma
-        )
+        direct = csht.direct_shares([(0, n, 1)], cells, sigma)
+        error = soft(points, grid, sigma, sizes=sizes) - direct
         worst = max(worst, np.abs(error).max())
     bound = 0.0605 * (0.75 / sigma) ** 2
     assert 0.3 * bound < worst <= bound

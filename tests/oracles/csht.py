@@ -13,7 +13,7 @@ from tests.oracles import fuzzy
 
 
 def hard_votes(points, grid):
-    """Return V [N_v, N_n0] of points (t, n, weight): equations 7 and 13–16; drops what is outside."""
+    """Return V [N_v, N_n0] of points (t, n, weight): equations 7 and 13–16, in the grid."""
     v_min, n_v, h_v, low, n_n0, h = grid
     votes = np.zeros((n_v, n_n0))
     for t, n, weight in points:
