@@ -23,7 +23,7 @@ class LineGrid(NamedTuple):
 
     velocity_min_m_s: Array | float = -6.0
     velocity_step_m_s: Array | float = 0.15
-    position_min_m: Array | float = -60.0
+    position_min_m: Array | float = -40.0
     position_step_m: Array | float = 4.0
 
 

@@ -230,10 +230,12 @@ def test_soft_gradients_agree_with_central_differences():
     scans = jax.tree.map(np.array, scans)
     scans.position_m[~scans.mask] = np.nan
     some = np.flatnonzero(scans.mask.ravel())[::9]
+    scans = jax.tree.map(jnp.asarray, scans)
 
     def loss(moves, weights, tolerance, temperature):
-        position = scans.position_m.reshape(-1, 2).copy()
-        position = jnp.asarray(position).at[some].add(moves).reshape(scans.position_m.shape)
+        position = (
+            scans.position_m.reshape(-1, 2).at[some].add(moves).reshape(scans.position_m.shape)
+        )
         weight = jnp.ones(scans.mask.size).at[some].set(weights).reshape(scans.mask.shape)
         seen = scans._replace(position_m=position, weight=weight)
         tracks, _ = soft_estimate(seen, PARAMS, tolerance, temperature, sizes=sizes)
