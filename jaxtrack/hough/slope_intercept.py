@@ -92,7 +92,7 @@ def cell_centres(grid: LineGrid, *, sizes: LineSizes, dtype: jnp.dtype) -> tuple
     Example:
         >>> velocity, position = cell_centres(LineGrid(), sizes=LineSizes(2, 2), dtype=jnp.float32)
         >>> print(velocity, position)
-        [-6.   -5.85] [-58. -54.]
+        [-6.   -5.85] [-38. -34.]
 
     Source: clustering-statistic Hough transform (2018), equations 8 and 9.
 
