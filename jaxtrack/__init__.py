@@ -4,6 +4,7 @@
        io, sensors     types          hough         tracking   metrics
 
     models        how targets move and how they are seen
+    clustering    fuzzy clustering of weighted samples
     filtering     recursive estimators
     montecarlo    any of it, for thousands of trials in one compiled program
     studies       scenes × methods × tables
@@ -33,6 +34,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from jaxtrack import (
+    clustering,
     filtering,
     hough,
     io,
@@ -61,6 +63,7 @@ __all__ = [
     "Stage",
     "Tracks",
     "Truth",
+    "clustering",
     "filtering",
     "hough",
     "io",

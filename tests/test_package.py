@@ -23,6 +23,7 @@ HEAVY = ("matplotlib", "xarray", "zarr", "tyro", "rich", "flax", "scipy")
 OF_ESTIMATE = "a step of the module's `estimate`, which has the example"
 SOFT = "`estimate` has the example; this one takes tolerances as well"
 WITHOUT_EXAMPLE = {
+    "hough.clustering_statistic.soft_estimate": SOFT,
     "hough.improved.soft_estimate": SOFT,
     "hough.modified.pair_votes": OF_ESTIMATE,
     "hough.modified.soft_estimate": SOFT,

@@ -1,0 +1,35 @@
+"""Clustering of weighted samples, differentiable through the fixed point.
+
+`fuzzy_cmeans` finds a given number of patterns, `isodata` their number as well.
+"""
+
+from jaxtrack.clustering.fuzzy_cmeans import CMeans, fuzzy_cmeans, memberships, update
+from jaxtrack.clustering.isodata import (
+    Isodata,
+    IsodataParams,
+    IsodataSizes,
+    Partition,
+    delete,
+    divide,
+    farthest_first,
+    isodata,
+    merge,
+    partition,
+)
+
+__all__ = [
+    "CMeans",
+    "Isodata",
+    "IsodataParams",
+    "IsodataSizes",
+    "Partition",
+    "delete",
+    "divide",
+    "farthest_first",
+    "fuzzy_cmeans",
+    "isodata",
+    "memberships",
+    "merge",
+    "partition",
+    "update",
+]
