@@ -2,8 +2,19 @@
 
 from jaxtrack.plots.accumulations import accumulations
 from jaxtrack.plots.comparisons import run_times, scores
+from jaxtrack.plots.motion_elements import coordinate_over_time, error_curves, vote_plane
 from jaxtrack.plots.scene import scene
 from jaxtrack.plots.sinusoids import sinusoids
 from jaxtrack.plots.style import style
 
-__all__ = ["accumulations", "run_times", "scene", "scores", "sinusoids", "style"]
+__all__ = [
+    "accumulations",
+    "coordinate_over_time",
+    "error_curves",
+    "run_times",
+    "scene",
+    "scores",
+    "sinusoids",
+    "style",
+    "vote_plane",
+]

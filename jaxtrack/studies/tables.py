@@ -86,6 +86,21 @@ def root_mean_square(
     )
 
 
+def quotient(ours: np.ndarray, theirs: np.ndarray) -> Figure:
+    """Return Σ ours / Σ theirs over the same trials, with the interval of the paired ratio.
+
+    Example:
+        >>> quotient(np.array([2.0, 4.0]), np.array([1.0, 2.0])).value
+        2.0
+    """
+    total = theirs.sum()
+    if len(ours) == 0 or total == 0:
+        return Figure(np.nan, np.nan, np.nan, len(ours))
+    ratio = ours.sum() / total
+    error = np.sqrt(((ours - ratio * theirs) ** 2).sum()) / total
+    return Figure(float(ratio), *(float(x) for x in interval_of_mean(ratio, error)[:2]), len(ours))
+
+
 def verdict(figure: Figure, mark: Mark | None) -> str:
     """Return "pass", "fails", "smoke" (too few trials to say), or "" without a mark.
 
