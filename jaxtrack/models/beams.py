@@ -37,11 +37,15 @@ class BeamSensor(NamedTuple):
     spread_beams: Array | float = 0.1  # s_b, blur of the beams' edges
 
 
-class _Report(NamedTuple):
-    """What the three nearest beams report to each state, [3, …]; weight −1: no such beam."""
+_Three = tuple[Array, Array, Array]
+"""One array for each of the nearest beams: stacked, the compiler would not vectorize them."""
 
-    range_m: Array
-    weight: Array
+
+class _Report(NamedTuple):
+    """What the three nearest beams report to each state; weight −1: no such beam."""
+
+    range_m: _Three
+    weight: _Three
 
 
 class _Place(NamedTuple):
@@ -100,10 +104,9 @@ def beam_responsibility(state: Array, scan: BeamScan, params: BeamSensor) -> Arr
     """
     place = _place(state[0], state[1], scan, params)
     total, own = _ratio(place, _report(place.beams, _table(scan)), params)
+    beam = jnp.arange(scan.mask.shape[0], dtype=jnp.int32)
     nearest = _nearest(place.beams, scan.mask.shape[0])
-    beam = jnp.arange(scan.mask.shape[0], dtype=nearest.dtype)
-    mine = (beam[:, None] == nearest[None, :] - _PAD).astype(own.dtype)
-    claims = (mine * (own / total)[None, :]).sum(-1)
+    claims = sum(jnp.where(beam == n - _PAD, o / total, 0.0) for n, o in zip(nearest, own, strict=True))
     return jnp.where(scan.valid & scan.mask, claims, 0.0)
 
 
@@ -210,7 +213,7 @@ def _normal_equations(state: Array, scans: BeamScan, params: BeamSensor) -> tupl
         place = _place(x, y, scan, params)
         report = _report(place.beams, _table(scan))
         total, own = _ratio(place, report, params)
-        claim = jnp.where(scan.valid, own / total, 0.0)
+        claim = [jnp.where(scan.valid, one / total, 0.0) for one in own]
         width = jnp.asarray(params.sonar.sector_rad, state.dtype) / scan.mask.shape[0]
         cos, sin = jnp.cos(scan.pose.heading_rad), jnp.sin(scan.pose.heading_rad)
         along = jnp.stack(
@@ -221,12 +224,13 @@ def _normal_equations(state: Array, scans: BeamScan, params: BeamSensor) -> tupl
         across = safe_divide(jnp.stack([-along[1], along[0]]), place.range_m * width)
         range_var = jnp.asarray(params.sonar.sigma_m, state.dtype) ** 2
         beam_var = 1 / 12 + jnp.asarray(params.spread_beams, state.dtype) ** 2
-        centre = jnp.floor(place.beams) + jnp.arange(-1.0, 2.0, dtype=state.dtype) + 0.5
-        far = (claim * (report.range_m - place.range_m)).sum() / range_var
-        off = (claim * (centre - place.beams)).sum() / beam_var
+        middle = jnp.floor(place.beams) - place.beams
+        far = sum(c * (r - place.range_m) for c, r in zip(claim, report.range_m, strict=True))
+        off = sum(c * (middle + n) for c, n in zip(claim, (-0.5, 0.5, 1.5), strict=True))
+        far, off = far / range_var, off / beam_var
         outer = along[:, None] * along[None, :] / range_var
         outer = outer + across[:, None] * across[None, :] / beam_var
-        return claim.sum() * outer, far * along + off * across
+        return sum(claim) * outer, far * along + off * across
 
     outer, push = jax.vmap(look)(x, y, scans)
     powers = jnp.stack([jnp.ones_like(dt), dt], axis=-1)
@@ -242,16 +246,20 @@ def _table(scan: BeamScan) -> tuple[Array, Array]:
     return jnp.pad(range_m, _PAD), jnp.pad(weight, _PAD, constant_values=-1.0)
 
 
-def _nearest(beams: Array, count: int) -> Array:
-    """Places in the table of the three beams nearest to a bearing, [3, …]."""
+def _nearest(beams: Array, count: int) -> _Three:
+    """Places in the table of the three beams nearest to a bearing."""
     middle = jnp.clip(jnp.floor(beams).astype(jnp.int32), -2, count + 1) + _PAD
-    return jnp.stack([middle - 1, middle, middle + 1])
+    return middle - 1, middle, middle + 1
 
 
 def _report(beams: Array, table: tuple[Array, Array]) -> _Report:
     range_m, weight = table
     nearest = _nearest(beams, range_m.shape[0] - 2 * _PAD)
-    return _Report(range_m[nearest], weight[nearest])
+    port, middle, starboard = nearest
+    return _Report(
+        (range_m[port], range_m[middle], range_m[starboard]),
+        (weight[port], weight[middle], weight[starboard]),
+    )
 
 
 def _place(x: Array, y: Array, scan: BeamScan, params: BeamSensor) -> _Place:
@@ -267,30 +275,31 @@ def _place(x: Array, y: Array, scan: BeamScan, params: BeamSensor) -> _Place:
     return _Place(safe_sqrt(ahead**2 + starboard**2), beams, ahead, starboard)
 
 
-def _ratio(place: _Place, report: _Report, params: BeamSensor) -> tuple[Array, Array]:
-    """Likelihood ratio […], and the part of it that the detections of the three beams give."""
+def _ratio(place: _Place, report: _Report, params: BeamSensor) -> tuple[Array, _Three]:
+    """Likelihood ratio, and the parts of it that the detections of the three beams give.
+
+    What lies beyond the three beams is the outer ones'.
+    """
     cast = lambda x: jnp.asarray(x, place.range_m.dtype)
     miss, false, clutter = (cast(x) for x in (params.sonar.p_miss, params.sonar.p_false,
                                               params.sonar.clutter_in_missed_beam))  # fmt: skip
     sigma, scope = cast(params.sonar.sigma_m), cast(params.sonar.range_max_m)
     silent = miss * (1 - clutter * false) / (1 - false)
     peak = (1 - miss) * scope / (false * sigma * math.sqrt(2 * math.pi))
-    share = jnp.stack(_shares(place.beams, cast(params.spread_beams)))
-    inside = _phi((scope - place.range_m) / sigma)[None]
-    exists = report.weight >= 0
-    weight = jnp.where(exists, report.weight, 0.0)
-    density = jnp.exp(-(((report.range_m - place.range_m[None]) / sigma) ** 2) / 2)
-    own = inside * share * weight * peak * density
-    rest = jnp.where(exists, silent + weight * (miss * clutter - silent), 1.0)
-    total = (own + inside * share * rest).sum(0) + (1 - inside[0])
-    return total + _LEAST, own
-
-
-def _shares(beams: Array, spread: Array) -> tuple[Array, Array, Array]:
-    """P(b | u) of the nearest three beams; what lies beyond them is the outer ones'."""
-    within = beams - jnp.floor(beams)
+    within = place.beams - jnp.floor(place.beams)
+    spread = cast(params.spread_beams)
     port, starboard = _phi(-within / spread), _phi((within - 1) / spread)
-    return port, 1 - port - starboard, starboard
+    inside = _phi((scope - place.range_m) / sigma)
+    total, own = 1 - inside + _LEAST, []
+    shares = port, 1 - port - starboard, starboard
+    for share, range_m, weight in zip(shares, report.range_m, report.weight, strict=True):
+        exists = weight >= 0
+        density = jnp.exp(-(((range_m - place.range_m) / sigma) ** 2) / 2)
+        seen = inside * share * jnp.where(exists, weight, 0.0) * peak * density
+        rest = jnp.where(exists, silent + weight * (miss * clutter - silent), 1.0)
+        total = total + (seen + inside * share * rest)
+        own.append(seen)
+    return total, tuple(own)
 
 
 def _phi(z: Array) -> Array:
