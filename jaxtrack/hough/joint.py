@@ -123,7 +123,7 @@ def estimate(
         there, observation.scores(states, scans, wide), -jnp.inf
     )
     if sizes.survivors is not None:
-        some = jax.tree.map(lambda x: x[:: -_SOME][::-1], fixed)  # the last look is among them
+        some = jax.tree.map(lambda x: x[::-_SOME][::-1], fixed)  # the last look is among them
         best = jax.lax.top_k(rank(start, there, some), min(sizes.survivors, there.shape[0]))[1]
         start, there = start[best], there[best]
     score = rank(start, there, fixed)
@@ -187,18 +187,16 @@ def estimate(
         information = information + _weak_prior(params.speed, dtype)
         points = jnp.asarray(_normal_points(sizes.samples), dtype)
         for last in (False,) * (_ROUNDS - 1) + (True,):
-            known = scans, sensor
-            at, given = (seen(known[0]), known[1]) if last else (seen(fixed), fixed_sensor)
+            # Only the last round's weights carry gradients: where samples stand is no matter.
+            at, given = (seen(scans), sensor) if last else (seen(fixed), fixed_sensor)
             root, _ = scaled_root(jax.lax.stop_gradient(information))
-            states = jax.lax.stop_gradient(state) + _INFLATION * points @ root
+            states = jax.lax.stop_gradient(state)[None] + _INFLATION * points @ root
             speed = safe_norm(states[:, 2:4])
             inside = (speed >= params.speed.v_min_m_s) & (speed <= params.speed.v_max_m_s)
-            value = observation.scores(states, at, given)
-            log_weight = value + (points**2).sum(-1) / 2
-            log_weight = jnp.where(inside, log_weight, -1e9)
-            weight = jax.nn.softmax(log_weight)
+            value = observation.scores(states, at, given) + (points**2).sum(-1) / 2
+            weight = jax.nn.softmax(jnp.where(inside, value, -1e9))
             state = weight @ states
-            apart = states - state
+            apart = states - state[None]
             covariance = (weight[:, None] * apart).T @ apart
             # No narrower than a few samples can tell.
             information, _ = scaled_inverse(covariance + jnp.diag(jnp.diagonal(covariance)) * 0.05)

@@ -132,16 +132,16 @@ def known_posterior_mean(
     for softness, one in zip(_SOFTNESS, jax.random.split(key, len(_SOFTNESS)), strict=True):
         half = jax.random.normal(one, ((samples + 1) // 2, 4), dtype)
         points = jnp.concatenate([half, -half])[:samples]
-        states = state + _INFLATION * points @ scaled_root(information)[0]
+        states = state[None] + _INFLATION * points @ scaled_root(information)[0]
         density = jax.vmap(lambda x, s=softness: _log_density(x, detections, sonar, beams, s))
         speed = safe_norm(states[:, 2:])
         allowed = (speed >= speed_m_s[0]) & (speed <= fastest)
         value = jnp.where(allowed, density(states) + (points**2).sum(-1) / 2, -1e9)
         weight = jax.nn.softmax(value)
         state = weight @ states
-        apart = states - state
+        apart = states - state[None]
         covariance = (weight[:, None] * apart).T @ apart
-        # A tenth of the spread before: a round that hits next to nothing must not collapse.
+        # No less than a tenth of the spread before: a round that hits next to nothing must not collapse.
         before, _ = scaled_inverse(information)
         information, _ = scaled_inverse(covariance + 0.01 * before)
     return PosteriorMean(state, covariance, 1 / (weight**2).sum())
@@ -219,7 +219,9 @@ def _fit(
         slope, rest = jax.jacfwd(seen)(state), reported - seen(state)
         rest = rest.at[:, 1].set(wrap_angle(rest[:, 1] * width) / width)
         information = prior + jnp.einsum("tc,tci,tcj->ij", weight, slope, slope)
-        return information, jnp.einsum("tc,tci,tc->i", weight, slope, rest) + prior @ (start - state)
+        return information, jnp.einsum("tc,tci,tc->i", weight, slope, rest) + prior @ (
+            start - state
+        )
 
     def step(_: int, state: Array) -> Array:
         information, push = normal(state)

@@ -24,7 +24,7 @@ from jaxtrack.models.observation import Observation
 from jaxtrack.models.sonar import BeamSonar, beam_bearings
 from jaxtrack.numerics.definite import scaled_inverse
 from jaxtrack.numerics.safe import safe_divide, safe_sqrt
-from jaxtrack.types import Array, BeamScan, Scan
+from jaxtrack.types import Array, BeamScan, Pose, Scan
 
 _LEAST = 1e-6  # share of everything that the model does not know: bounds a look's penalty
 _PAD = 3  # beams that do not exist, on each side
@@ -106,7 +106,9 @@ def beam_responsibility(state: Array, scan: BeamScan, params: BeamSensor) -> Arr
     total, own = _ratio(place, _report(place.beams, _table(scan)), params)
     beam = jnp.arange(scan.mask.shape[0], dtype=jnp.int32)
     nearest = _nearest(place.beams, scan.mask.shape[0])
-    claims = sum(jnp.where(beam == n - _PAD, o / total, 0.0) for n, o in zip(nearest, own, strict=True))
+    claims = sum(
+        jnp.where(beam == n - _PAD, o / total, 0.0) for n, o in zip(nearest, own, strict=True)
+    )
     return jnp.where(scan.valid & scan.mask, claims, 0.0)
 
 
@@ -184,7 +186,8 @@ def beam_positions(scans: BeamScan, params: BeamSensor) -> Scan:
     range_m = jnp.where(counts, scans.range_m, 1.0)
     bearing = beam_bearings(params.sonar, beams=range_m.shape[1], dtype=range_m.dtype)
     place = jax.vmap(lambda r, pose: polar_to_earth(r, bearing, pose, params.sonar.mount_m))
-    return Scan(scans.time_s, scans.valid, place(range_m, scans.pose), counts, weight=scans.weight)
+    position_m = place(range_m, jax.vmap(_pose)(scans))
+    return Scan(scans.time_s, scans.valid, position_m, counts, weight=scans.weight)
 
 
 def blur_beams(params: BeamSensor, factor: Array | float) -> BeamSensor:
@@ -215,7 +218,8 @@ def _normal_equations(state: Array, scans: BeamScan, params: BeamSensor) -> tupl
         total, own = _ratio(place, report, params)
         claim = [jnp.where(scan.valid, one / total, 0.0) for one in own]
         width = jnp.asarray(params.sonar.sector_rad, state.dtype) / scan.mask.shape[0]
-        cos, sin = jnp.cos(scan.pose.heading_rad), jnp.sin(scan.pose.heading_rad)
+        heading = _pose(scan).heading_rad
+        cos, sin = jnp.cos(heading), jnp.sin(heading)
         along = jnp.stack(
             [cos * place.ahead_m - sin * place.starboard_m,
              sin * place.ahead_m + cos * place.starboard_m]
@@ -238,11 +242,17 @@ def _normal_equations(state: Array, scans: BeamScan, params: BeamSensor) -> tupl
     return information, jnp.einsum("kp,ki->pi", powers, push).reshape(4)
 
 
+def _pose(scan: BeamScan) -> Pose:
+    """Where the carrier is; somewhere, in a look that never was."""
+    return jax.tree.map(lambda x: jnp.where(scan.valid, x, jnp.zeros_like(x)), scan.pose)
+
+
 def _table(scan: BeamScan) -> tuple[Array, Array]:
     """Ranges and weights of one look's beams, with beams that do not exist at both ends."""
     weight = jnp.ones_like(scan.range_m) if scan.weight is None else scan.weight
-    weight = jnp.where(scan.mask, weight, 0.0)
-    range_m = jnp.where(scan.mask, scan.range_m, 0.0)
+    counts = scan.mask & scan.valid
+    weight = jnp.where(counts, weight, 0.0)
+    range_m = jnp.where(counts, scan.range_m, 0.0)
     return jnp.pad(range_m, _PAD), jnp.pad(weight, _PAD, constant_values=-1.0)
 
 
@@ -264,7 +274,7 @@ def _report(beams: Array, table: tuple[Array, Array]) -> _Report:
 
 def _place(x: Array, y: Array, scan: BeamScan, params: BeamSensor) -> _Place:
     """Earth to sonar, with the bearing in beams."""
-    sonar, pose = params.sonar, scan.pose
+    sonar, pose = params.sonar, _pose(scan)
     mount = jnp.asarray(sonar.mount_m, x.dtype)
     north, east = x - pose.position_m[0], y - pose.position_m[1]
     cos, sin = jnp.cos(pose.heading_rad), jnp.sin(pose.heading_rad)
