@@ -20,7 +20,7 @@ import numpy as np
 from jaxtrack.hough.pairs import SpeedGate, distant_pairs
 from jaxtrack.models.line import line_through
 from jaxtrack.models.motion import look_times, propagate
-from jaxtrack.models.observation import POSITION, Observation, PositionSensor
+from jaxtrack.models.observation import POSITION, Observation
 from jaxtrack.numerics.checks import check_size
 from jaxtrack.numerics.definite import scaled_inverse, scaled_root
 from jaxtrack.numerics.safe import safe_divide, safe_norm

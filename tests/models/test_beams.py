@@ -142,7 +142,7 @@ def test_refinement_finds_a_clean_target():
     mask = np.arange(90) == beam[:, None]
     range_m = np.where(mask, np.hypot(*place.T)[:, None], np.nan)
     scans = BeamScan(dt, np.ones(8, bool), range_m, mask, pose)  # pyright: ignore[reportArgumentType]
-    state = truth + [1.0, -0.5, 0.2, 0.2]
+    state = truth + np.array([1.0, -0.5, 0.2, 0.2])
     sensor = BeamSensor(own, 0.3)
     for _ in range(6):
         state = jax.jit(BEAMS.refine)(state, scans, sensor)
