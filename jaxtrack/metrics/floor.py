@@ -116,7 +116,8 @@ def known_posterior_mean(
         >>> pose = Pose(jnp.zeros((3, 2)), jnp.zeros(3))
         >>> seen = KnownDetections(dt, pose, 50.0 + dt, jnp.full(3, 45), jnp.ones(3, bool))
         >>> floor = known_posterior_mean(
-        ...     jax.random.key(0), seen, sonar, (0.0, 6.0), jnp.array([50.0, 0.4, 1.0, 0.0]), beams=90
+        ...     jax.random.key(0), seen, sonar, (0.0, 6.0), jnp.array([50.0, 0.4, 1.0, 0.0]),
+        ...     beams=90,
         ... )
         >>> bool(0.3 < floor.state[1] < 0.6), bool(floor.effective_samples > 100)
         (True, True)
@@ -141,7 +142,7 @@ def known_posterior_mean(
         state = weight @ states
         apart = states - state[None]
         covariance = (weight[:, None] * apart).T @ apart
-        # No less than a tenth of the spread before: a round that hits next to nothing must not collapse.
+        # At least a tenth of the spread before: a round that hits nothing must not collapse.
         before, _ = scaled_inverse(information)
         information, _ = scaled_inverse(covariance + 0.01 * before)
     return PosteriorMean(state, covariance, 1 / (weight**2).sum())

@@ -4,10 +4,11 @@ A target at range ρ and bearing α (u in beams from the port edge) stands in be
 P(b | u), the mass of N(u, s_b²) on the beam. A beam that holds it and reports range r, or nothing,
 is by
 
-    Λ_b = [(1 − P_M) N(r; ρ, σ²) + P_M c P_F / ρ_D] / (P_F / ρ_D),   Λ_b = P_M (1 − c P_F) / (1 − P_F)
+    Λ_b = [(1 − P_M) N(r; ρ, σ²) + P_M c P_F / ρ_D] / (P_F / ρ_D),
+    Λ_b = P_M (1 − c P_F) / (1 − P_F)
 
-likelier than one that is empty, and the look's log-likelihood ratio is log Σ_b P(b | u) Λ_b over the
-three nearest beams: three gathers, however many beams there are. Outside the sector and the scope
+likelier than one that is empty, and the look's log-likelihood ratio is log Σ_b P(b | u) Λ_b over
+the three nearest beams: three gathers, however many beams there are. Outside the sector and the scope
 nothing can be seen, Λ = 1.
 """
 

@@ -63,8 +63,8 @@ def scaled_root(matrix: Array) -> tuple[Array, Array]:
         matrix: [n, n] symmetric, n small.
 
     Example:
-        >>> print(scaled_root(jnp.array([[4.0, 0.0], [0.0, 0.01]]))[0].round(1).tolist())
-        [[0.5, 0.0], [0.0, 10.0]]
+        >>> print(jnp.diagonal(scaled_root(jnp.array([[4.0, 0.0], [0.0, 0.01]]))[0]).round(1))
+        [ 0.5 10. ]
     """
     diagonal = jnp.diagonal(matrix)
     scale = jax.lax.rsqrt(jnp.where(diagonal > 0, diagonal, 1.0))

@@ -55,7 +55,7 @@ def test_posterior_mean_is_that_of_brute_force(seed):
     got = mean_of(jax.random.key(seed), seen, SONAR, SPEED, truth)
     spread = np.sqrt(np.diag(got.covariance))
     density = lambda state: oracle.log_posterior(state, *loops(seen), SPEED)
-    expected = oracle.posterior_mean(density, got.state, 3.5 * spread, 11)
+    expected = oracle.posterior_mean(density, got.state, 3.5 * spread, 17)
     assert got.effective_samples > 100
     np.testing.assert_allclose((got.state - expected) / spread, 0.0, atol=0.15)
 
