@@ -8,8 +8,8 @@ is by
     Λ_b = P_M (1 − c P_F) / (1 − P_F)
 
 likelier than one that is empty, and the look's log-likelihood ratio is log Σ_b P(b | u) Λ_b over
-the three nearest beams: three gathers, however many beams there are. Outside the sector and the scope
-nothing can be seen, Λ = 1.
+the three nearest beams: three gathers, however many beams there are.
+Outside the sector and the scope nothing can be seen, Λ = 1.
 """
 
 import math
