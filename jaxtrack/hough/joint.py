@@ -10,28 +10,33 @@ out of the detections' weights, and so on. Then all tracks are refitted together
 the others leave. What the sensor is, only `models.observation` knows.
 """
 
-from typing import NamedTuple
+from statistics import NormalDist
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxtrack.hough.pairs import SpeedGate, distant_pairs
 from jaxtrack.models.line import line_through
 from jaxtrack.models.motion import look_times, propagate
-from jaxtrack.models.observation import POSITION, Observation, PositionSensor
+from jaxtrack.models.observation import POSITION, Observation
 from jaxtrack.numerics.checks import check_size
-from jaxtrack.numerics.definite import definite_inverse
-from jaxtrack.numerics.safe import safe_divide
-from jaxtrack.types import Array, Key, Lines, Scan, Stage, Tracks
+from jaxtrack.numerics.definite import scaled_inverse, scaled_root
+from jaxtrack.numerics.safe import safe_divide, safe_norm
+from jaxtrack.types import Array, BeamScan, Key, Lines, Scan, Stage, Tracks
 
 _BLURS = (1.3, 1.3, 1.15, 1.0, 1.0, 1.0)  # widening of the noise, step by step of the refinement
 _REFITS = 4  # rounds of the joint refit
+_SOME = 3  # every third look is among those that survivors are chosen by
+_ROUNDS = 2  # of sampling the posterior
+_INFLATION = 1.2  # of the samples' spread over the posterior's
 
 
 class JointParams(NamedTuple):
     """Parameters of the joint vote. Traced."""
 
-    sensor: PositionSensor
+    sensor: Any  # the observation's; of `POSITION` a `PositionSensor`, of `BEAMS` a `BeamSensor`
     speed: SpeedGate = SpeedGate()
     gate: Array | float = 18.0  # tracks with a lower score (in nats) are masked out
 
@@ -44,6 +49,9 @@ class JointSizes(NamedTuple):
     candidates: int = 256  # the best of them, rescored for every track
     starts: int = 16  # the best of those, refined for every track
     gap: int = 3  # the two detections of a pair are at least so many looks apart
+    detections: int | None = None  # a look that pairs are made of; None: as many as there is room
+    survivors: int | None = None  # pairs scored on all looks, the best on some; None: all of them
+    samples: int = 0  # of the posterior, whose mean is the estimate; 0: its mode is
 
 
 class JointInfo(NamedTuple):
@@ -57,7 +65,7 @@ class JointInfo(NamedTuple):
 
 
 def estimate(
-    scans: Scan,
+    scans: Scan | BeamScan,
     params: JointParams,
     key: Key | None = None,
     *,
@@ -67,7 +75,7 @@ def estimate(
     """Return the tracks of a window, with states at the last look, covariances and scores.
 
     Args:
-        scans: K looks stacked.
+        scans: K looks stacked, of the observation's kind.
         params: sensor, admissible speeds and gate.
         key: not used; part of every window estimator's signature.
         sizes: static sizes.
@@ -94,8 +102,9 @@ def estimate(
         1 [1600.   80.  200.    0.]
     """
     for name, value in zip(JointSizes._fields, sizes, strict=True):
-        check_size(f"sizes.{name}", value)
-    dtype = scans.position_m.dtype
+        if value is not None:
+            check_size(f"sizes.{name}", value, at_least=0 if name == "samples" else 1)
+    dtype = scans.time_s.dtype
     sensor = jax.tree.map(lambda x: jnp.asarray(x, dtype), params.sensor)
     gate = jnp.asarray(params.gate, dtype)
     counts = scans.mask & scans.valid[:, None]
@@ -108,15 +117,23 @@ def estimate(
     fixed, fixed_sensor = jax.lax.stop_gradient((scans, sensor))
     whole = jnp.asarray(fixed.weight)
 
+    found, crowded = _packed(observation.positions(fixed, fixed_sensor), sizes.detections)
     start, there, overflow = distant_pairs(
-        fixed, params.speed, gap=sizes.gap, hypotheses=sizes.hypotheses
+        found, params.speed, gap=sizes.gap, hypotheses=sizes.hypotheses
     )
     wide = observation.blur(fixed_sensor, _BLURS[0])
-    score = jnp.where(there, observation.scores(start, fixed, wide), -jnp.inf)
+    rank = lambda states, there, scans: jnp.where(
+        there, observation.scores(states, scans, wide), -jnp.inf
+    )
+    if sizes.survivors is not None:
+        some = jax.tree.map(lambda x: x[::-_SOME][::-1], fixed)  # the last look is among them
+        best = jax.lax.top_k(rank(start, there, some), min(sizes.survivors, there.shape[0]))[1]
+        start, there = start[best], there[best]
+    score = rank(start, there, fixed)
     start_score, best = jax.lax.top_k(score, min(sizes.candidates, score.shape[0]))
     start, there = start[best], there[best]
 
-    def climb(state: Array, scans: Scan) -> Array:
+    def climb(state: Array, scans: Any) -> Array:
         def step(state: Array, blur: Array) -> tuple[Array, None]:
             return observation.refine(state, scans, observation.blur(fixed_sensor, blur)), None
 
@@ -128,7 +145,7 @@ def estimate(
 
     def pick(left: Array, _: None) -> tuple[Array, tuple[Array, Array]]:
         rest = fixed._replace(weight=left)
-        score = jnp.where(there, observation.scores(start, rest, wide), -jnp.inf)
+        score = rank(start, there, rest)
         first = jax.lax.top_k(score, min(sizes.starts, score.shape[0]))[1]
         states = jax.vmap(lambda x: climb(x, rest))(start[first])
         score = jnp.where(there[first], observation.scores(states, rest, fixed_sensor), -jnp.inf)
@@ -152,13 +169,13 @@ def estimate(
     (states, free), _ = jax.lax.scan(refit, begin, length=_REFITS)
 
     def finish(state: Array, free: Array) -> tuple[Array, ...]:
-        def total(state: Array, scans: Scan, sensor: PositionSensor) -> Array:
+        def total(state: Array, scans: Any, sensor: Any) -> Array:
             seen = scans._replace(weight=jnp.asarray(scans.weight) * free)
             one = lambda x, scan: observation.log_likelihood_ratio(x, scan, sensor)
             return jax.vmap(one)(_along(state, scans), seen).sum()
 
         information = -jax.hessian(total)(state, fixed, fixed_sensor)
-        covariance, definite = _inverse(information)
+        covariance, definite = scaled_inverse(information)
         # One Newton step from the fixed end of the search: it carries the maximum's gradient.
         slope = jax.grad(total)(state, scans, sensor)
         move = jnp.where(definite, covariance @ slope, 0.0)
@@ -168,8 +185,33 @@ def estimate(
         refined = state + jnp.where(better, move, move - jax.lax.stop_gradient(move))
         return refined, covariance, total(refined, scans, sensor), definite
 
-    states, free = jax.lax.stop_gradient((states, free))
-    mean, covariance, score, definite = jax.vmap(finish)(states, free)
+    def average(state: Array, free: Array) -> tuple[Array, ...]:
+        seen = lambda scans: scans._replace(weight=jnp.asarray(scans.weight) * free)
+        information = observation.information(state, seen(fixed), fixed_sensor)
+        information = information + _weak_prior(params.speed, dtype)
+        points = jnp.asarray(_normal_points(sizes.samples), dtype)
+        definite, covariance = jnp.asarray(False), jnp.zeros_like(information)
+        for last in (False,) * (_ROUNDS - 1) + (True,):
+            # Only the last round's weights carry gradients: where samples stand is no matter.
+            at, given = (seen(scans), sensor) if last else (seen(fixed), fixed_sensor)
+            root, definite = scaled_root(jax.lax.stop_gradient(information))
+            states = jax.lax.stop_gradient(state)[None] + _INFLATION * points @ root
+            speed = safe_norm(states[:, 2:4])
+            inside = (speed >= params.speed.v_min_m_s) & (speed <= params.speed.v_max_m_s)
+            value = observation.scores(states, at, given) + (points**2).sum(-1) / 2
+            weight = jax.nn.softmax(jnp.where(inside, value, -1e9))
+            state = weight @ states
+            apart = states - state[None]
+            covariance = (weight[:, None] * apart).T @ apart
+            # No narrower than a few samples can tell.
+            information, _ = scaled_inverse(covariance + jnp.diag(jnp.diagonal(covariance)) * 0.05)
+        one = lambda x, scan: observation.log_likelihood_ratio(x, scan, sensor)
+        score = jax.vmap(one)(_along(state, scans), seen(scans)).sum()
+        return state, covariance, score, definite
+
+    end_of_search = jax.lax.stop_gradient((states, free))
+    found = jax.vmap(average if sizes.samples else finish)(*end_of_search)
+    mean, covariance, score, definite = found
     keep = (score >= gate) & jnp.isfinite(picked)
     order = jnp.argsort(jnp.where(keep, -score, jnp.inf))
     table = mean, covariance, score, keep, free, definite
@@ -186,6 +228,7 @@ def estimate(
         existence=clear(jax.nn.sigmoid(score - gate)),
         log_score=clear(score),
     )
+    overflow = overflow | crowded
     return tracks, JointInfo(clear(claims), overflow, keep & definite, start, start_score)
 
 
@@ -209,19 +252,50 @@ def lines_of(tracks: Tracks) -> Lines:
     return Lines(clear(rho), clear(theta), clear(tracks.log_score), moves)
 
 
-def _along(state: Array, scans: Scan) -> Array:
+def _along(state: Array, scans: Scan | BeamScan) -> Array:
     """Return a state of the last look at every look, [K, 4]."""
     dt, _ = look_times(scans)
     return propagate(jnp.broadcast_to(state, (dt.shape[0], *state.shape)), dt)
 
 
-def _inverse(information: Array) -> tuple[Array, Array]:
-    """Return the inverse of a positive definite matrix [4, 4], and whether it is one.
+def _packed(scans: Scan, detections: int | None) -> tuple[Scan, Array]:
+    """Return scans with their detections at the front of fewer places, and whether all fit."""
+    counts = scans.mask & scans.valid[:, None]
+    if scans.weight is not None:
+        counts = counts & (jnp.where(counts, scans.weight, 0.0) > 0)
+    if detections is None or detections >= counts.shape[1]:
+        return scans, jnp.asarray(False)
+    order = jnp.argsort(~counts, axis=1)[:, :detections]
+    take = lambda x: None if x is None else jax.vmap(lambda row, i: row[i])(x, order)
+    packed = scans._replace(
+        position_m=take(scans.position_m),
+        mask=take(counts),
+        covariance_m2=take(scans.covariance_m2),
+        weight=take(scans.weight),
+        delay_s=take(scans.delay_s),
+        intensity=take(scans.intensity),
+    )
+    return packed, (counts.sum(-1) > detections).any()
 
-    Scaled to a unit diagonal first: positions and velocities differ by orders of magnitude.
-    Directions without information get a large finite variance.
+
+def _weak_prior(speed: SpeedGate, dtype: Any) -> Array:
+    """Return an information that says next to nothing: velocities are of the order of the gate's.
+
+    Positions 100 s of travel apart: it keeps the samples finite where the detections do not.
     """
-    diagonal = jnp.diagonal(information)
-    scale = jax.lax.rsqrt(jnp.where(diagonal > 0, diagonal, 1.0))
-    inverse, definite = definite_inverse(information * scale[:, None] * scale[None, :])
-    return inverse * scale[:, None] * scale[None, :], definite & (diagonal > 0).all()
+    v = jnp.asarray(speed.v_max_m_s, dtype)
+    return jnp.diag(jnp.stack([(100 * v) ** -2, (100 * v) ** -2, v**-2, v**-2]))
+
+
+def _normal_points(samples: int) -> np.ndarray:
+    """Return evenly spread standard normal points, [samples, 4]: no draw, so no key.
+
+    A Kronecker sequence through the inverse distribution function, every point with its mirror
+    image, scaled to unit variances.
+    """
+    half = (samples + 1) // 2
+    ratio = 1.1673039782614187  # the root of r⁵ = r + 1
+    uniform = (0.5 + np.outer(np.arange(1, half + 1), ratio ** -np.arange(1.0, 5.0))) % 1
+    normal = np.vectorize(NormalDist().inv_cdf)(np.clip(uniform, 1e-9, 1 - 1e-9))
+    points = np.concatenate([normal, -normal])[:samples]
+    return points / np.sqrt((points**2).mean(0))

@@ -2,9 +2,18 @@
 
 `ospa` and `gospa` compare a set of estimated states with a set of true ones and carry gradients;
 `initiation_scores` compares detected lines with true straight trajectories, and `divergence` and
-`decline` describe the peaks that the lines came from.
+`decline` describe the peaks that the lines came from. `known_posterior_mean` is the floor of an
+estimator that knows which detections are a target's.
 """
 
+from jaxtrack.metrics.floor import (
+    KnownDetections,
+    LeastSquares,
+    PosteriorMean,
+    all_pass_at_truth,
+    known_least_squares,
+    known_posterior_mean,
+)
 from jaxtrack.metrics.gospa import Gospa, gospa
 from jaxtrack.metrics.initiation import (
     MAX_DISCRIMINATION,
@@ -20,11 +29,17 @@ __all__ = [
     "MAX_DISCRIMINATION",
     "Gospa",
     "InitiationScores",
+    "KnownDetections",
+    "LeastSquares",
     "Ospa",
+    "PosteriorMean",
+    "all_pass_at_truth",
     "decline",
     "divergence",
     "gospa",
     "initiation_scores",
+    "known_least_squares",
+    "known_posterior_mean",
     "least_squares_line",
     "line_distance",
     "ospa",

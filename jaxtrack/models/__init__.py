@@ -1,5 +1,6 @@
 """How targets move and how they are seen: straight lines, motion, observation likelihoods."""
 
+from jaxtrack.models.beams import BEAMS, BeamSensor
 from jaxtrack.models.frames import earth_to_polar, polar_to_earth
 from jaxtrack.models.line import (
     line_covariance,
@@ -20,7 +21,9 @@ from jaxtrack.models.observation import (
 from jaxtrack.models.sonar import BeamSonar, beam_bearings
 
 __all__ = [
+    "BEAMS",
     "POSITION",
+    "BeamSensor",
     "BeamSonar",
     "Observation",
     "PositionSensor",

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from jaxtrack.types import Array, Scan
+from jaxtrack.types import Array, BeamScan, Scan
 
 
 def propagate(state: Array, dt_s: Array) -> Array:
@@ -20,7 +20,7 @@ def propagate(state: Array, dt_s: Array) -> Array:
     return jnp.concatenate([state[..., :2] + state[..., 2:] * dt, state[..., 2:]], axis=-1)
 
 
-def look_times(scans: Scan) -> tuple[Array, Array]:
+def look_times(scans: Scan | BeamScan) -> tuple[Array, Array]:
     """Return the looks' times from the window's end, [K], and the end: the last valid look.
 
     Looks that never happened stand at the end, whatever their time holds; without any valid look

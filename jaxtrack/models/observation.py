@@ -34,8 +34,10 @@ class Observation(NamedTuple):
 
     States of a window stand at its last look. `scores(states [H, 4], scans, sensor) -> [H]` sums
     the log-likelihood ratio over the looks, `responsibility(state, scan, sensor)` is how far each
-    detection of a look is the target's, `refine(state, scans, sensor)` moves a state uphill, and
-    `blur(sensor, factor)` widens the noise.
+    detection of a look is the target's, `refine(state, scans, sensor)` moves a state uphill,
+    `blur(sensor, factor)` widens the noise, `positions(scans, sensor)` gives the detections' places
+    in the earth frame, and `information(state, scans, sensor) -> [4, 4]` what those that a state
+    claims tell about it.
     """
 
     log_likelihood_ratio: LogLikelihoodRatio
@@ -43,6 +45,8 @@ class Observation(NamedTuple):
     responsibility: LogLikelihoodRatio
     refine: Callable[[Array, Any, Any], Array]
     blur: Callable[[Any, Array | float], Any]
+    positions: Callable[[Any, Any], Scan]
+    information: Callable[[Array, Any, Any], Array]
 
 
 def position_log_likelihood_ratio(state: Array, scan: Scan, params: PositionSensor) -> Array:
@@ -160,6 +164,27 @@ def position_refine(state: Array, scans: Scan, params: PositionSensor) -> Array:
     return jnp.stack([x, y, vx, vy])
 
 
+def position_information(state: Array, scans: Scan, params: PositionSensor) -> Array:
+    """Return what the detections that a trajectory claims tell about it, [4, 4].
+
+        J = Σ_kj r_kj R_kj⁻¹ ⊗ [[1, Δt], [Δt, Δt²]]
+
+    Args:
+        state: [4] at the time of the last look.
+        scans: K looks stacked.
+        params: detection probability, clutter density and noise.
+    """
+    time, _ = look_times(scans)
+    states = propagate(jnp.broadcast_to(state, (time.shape[0], 4)), time)
+    claimed = jax.vmap(lambda x, scan: position_responsibility(x, scan, params))(states, scans)
+    one = jax.vmap(lambda scan: _detections(scan, params))(scans)
+    inverse = jnp.stack([one.yy_m2, -one.xy_m2, -one.xy_m2, one.xx_m2]) / one.determinant
+    dt = time[:, None] + one.delay_s
+    powers = jnp.stack([jnp.ones_like(dt), dt, dt, dt**2])
+    both = jnp.einsum("pkn,ikn,kn->pi", powers, inverse, claimed).reshape(2, 2, 2, 2)
+    return both.transpose(0, 2, 1, 3).reshape(4, 4)
+
+
 def blur_position(params: PositionSensor, factor: Array | float) -> PositionSensor:
     """Return a sensor whose noise is wider by a factor, also where a scan has covariances."""
     return params._replace(widening=jnp.asarray(params.widening) * factor)
@@ -171,6 +196,8 @@ POSITION = Observation(
     responsibility=position_responsibility,
     refine=position_refine,
     blur=blur_position,
+    positions=lambda scans, params: scans,
+    information=position_information,
 )
 """The observation model of sensors that report positions."""
 

@@ -10,7 +10,7 @@ from jaxtrack.numerics.assignment import Assignment, assign
 from jaxtrack.numerics.bijectors import Bijector, bounded, identity, positive, simplex
 from jaxtrack.numerics.checks import check_array, check_choice, check_size
 from jaxtrack.numerics.choice import choose, greater, step
-from jaxtrack.numerics.definite import definite_inverse
+from jaxtrack.numerics.definite import definite_inverse, scaled_inverse, scaled_root
 from jaxtrack.numerics.masked import (
     masked_argmax,
     masked_argmin,
@@ -61,6 +61,8 @@ __all__ = [
     "safe_min",
     "safe_norm",
     "safe_sqrt",
+    "scaled_inverse",
+    "scaled_root",
     "simplex",
     "step",
     "take_along",

@@ -4,6 +4,7 @@ A batch of small matrices through LAPACK blocks the CPU's worker threads (with j
 hundred of them at once can hang the process); written out, the batch is plain vector arithmetic.
 """
 
+import jax
 import jax.numpy as jnp
 
 from jaxtrack.types import Array
@@ -29,6 +30,50 @@ def definite_inverse(matrix: Array, *, floor: float = 1e-5) -> tuple[Array, Arra
         >>> print((3 * inverse).round(3).tolist(), bool(definite))
         [[2.0, -1.0], [-1.0, 2.0]] True
     """
+    root, definite = _inverse_root(matrix, floor)
+    return root.T @ root, definite
+
+
+def scaled_inverse(matrix: Array) -> tuple[Array, Array]:
+    """Return the inverse of a positive definite matrix of mixed units, and whether it is one.
+
+    Scaled to a unit diagonal first: positions and velocities differ by orders of magnitude.
+    Directions without information get a large finite variance.
+
+    Args:
+        matrix: [n, n] symmetric, n small.
+
+    Example:
+        >>> inverse, definite = scaled_inverse(jnp.array([[4.0, 0.0], [0.0, 1e-8]]))
+        >>> print(f"{inverse[0, 0]:.2f} {inverse[1, 1]:.0e} {definite}")
+        0.25 1e+08 True
+    """
+    diagonal = jnp.diagonal(matrix)
+    scale = jax.lax.rsqrt(jnp.where(diagonal > 0, diagonal, 1.0))
+    inverse, definite = definite_inverse(matrix * scale[:, None] * scale[None, :])
+    return inverse * scale[:, None] * scale[None, :], definite & (diagonal > 0).all()
+
+
+def scaled_root(matrix: Array) -> tuple[Array, Array]:
+    """Return R with Rᵀ R the inverse of a positive definite matrix of mixed units, and whether.
+
+    If z is standard normal, Rᵀ z has the matrix for its information.
+
+    Args:
+        matrix: [n, n] symmetric, n small.
+
+    Example:
+        >>> print(jnp.diagonal(scaled_root(jnp.array([[4.0, 0.0], [0.0, 0.01]]))[0]).round(1))
+        [ 0.5 10. ]
+    """
+    diagonal = jnp.diagonal(matrix)
+    scale = jax.lax.rsqrt(jnp.where(diagonal > 0, diagonal, 1.0))
+    root, definite = _inverse_root(matrix * scale[:, None] * scale[None, :], 1e-5)
+    return root * scale[None, :], definite & (diagonal > 0).all()
+
+
+def _inverse_root(matrix: Array, floor: float) -> tuple[Array, Array]:
+    """Return L⁻¹ of A = L Lᵀ, and whether no pivot had to be raised."""
     n = matrix.shape[0]
     lower: list[list[Array]] = [[jnp.zeros((), matrix.dtype)] * n for _ in range(n)]
     inverse: list[list[Array]] = [[jnp.zeros((), matrix.dtype)] * n for _ in range(n)]
@@ -46,4 +91,4 @@ def definite_inverse(matrix: Array, *, floor: float = 1e-5) -> tuple[Array, Arra
             rest = sum(lower[i][k] * inverse[k][j] for k in range(j, i))
             inverse[i][j] = -rest / lower[i][i]
     root = jnp.stack([jnp.stack(row) for row in inverse])
-    return root.T @ root, definite
+    return root, definite

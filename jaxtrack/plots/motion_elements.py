@@ -1,6 +1,6 @@
 """One coordinate over time, and the plane of velocities and initial positions it votes in."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -145,7 +145,7 @@ def error_curves(
     with style():
         columns = min(max(len(panels), 1), 4)
         figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
-        grid: Sequence[Any] = np.ravel(figure.subplots(1, columns, sharey=True, squeeze=False))
+        grid: Any = np.ravel(figure.subplots(1, columns, sharey=True, squeeze=False))
         for axes, (name, panel) in zip(grid, panels.items(), strict=True):
             for method, (x, mean, error) in panel.items():
                 colour, marker = looks[method]

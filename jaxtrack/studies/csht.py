@@ -84,7 +84,8 @@ def run(context: Context) -> None:
         key = _key(context, _TABLE_2, place)
         scenes = [motion_elements_scene()._replace(sonar=_sonar(name, cell)) for cell in CELLS]
         parts.append(_part(context, key, name, CELLS, scenes, gates[name]))
-    table_2 = xr.concat(parts, xr.Variable("variant", list(VARIANTS)))
+    variant = xr.Variable("variant", list(VARIANTS))
+    table_2: xr.Dataset = xr.concat(parts, variant)  # pyright: ignore[reportAssignmentType]
     literal = dict(zip(CELLS, gates["literal"], strict=True))
     key = _key(context, _GENERATED)
     generated = _part(
@@ -126,7 +127,8 @@ def _gates(context: Context, place: int, variant: str) -> list[float]:
         empty = SonarScene(nobody, scene.pose, _sonar(variant, cell))
         find = search(VARIANTS[variant].false_alarms)
         found = monte_carlo(find, key, _scenes(context.trials), empty, micro_batch=1).values
-        gate = gate_for_false_rate(*map(jnp.asarray, found), FALSE_PER_RUN)
+        score, mask = (jnp.asarray(x) for x in found)
+        gate = gate_for_false_rate(score, mask, FALSE_PER_RUN)
         gates.append(float(gate))
         context.progress(f"gates, {variant}", done, len(CELLS))
     return gates

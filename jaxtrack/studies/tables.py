@@ -98,7 +98,8 @@ def quotient(ours: np.ndarray, theirs: np.ndarray) -> Figure:
         return Figure(np.nan, np.nan, np.nan, len(ours))
     ratio = ours.sum() / total
     error = np.sqrt(((ours - ratio * theirs) ** 2).sum()) / total
-    return Figure(float(ratio), *(float(x) for x in interval_of_mean(ratio, error)[:2]), len(ours))
+    lower, upper = interval_of_mean(ratio, error)
+    return Figure(float(ratio), float(lower), float(upper), len(ours))
 
 
 def verdict(figure: Figure, mark: Mark | None) -> str:
