@@ -10,6 +10,7 @@ out of the detections' weights, and so on. Then all tracks are refitted together
 the others leave. What the sensor is, only `models.observation` knows.
 """
 
+import math
 from statistics import NormalDist
 from typing import Any, NamedTuple
 
@@ -51,7 +52,7 @@ class JointSizes(NamedTuple):
     gap: int = 3  # the two detections of a pair are at least so many looks apart
     detections: int | None = None  # a look that pairs are made of; None: as many as there is room
     survivors: int | None = None  # pairs scored on all looks, the best on some; None: all of them
-    samples: int = 0  # of the posterior, whose mean is the estimate; 0: its mode is
+    samples: int = 0  # of the posterior, whose mean is the estimate; 0: the likelihood's mode is
 
 
 class JointInfo(NamedTuple):
@@ -84,6 +85,9 @@ def estimate(
     Returns:
         Tracks in order of their scores; `covariance` is the inverse of the observed information (it
         carries no gradient), `existence` the posterior probability for prior log-odds of −gate.
+        Without samples the score is L at the estimate; with samples it is the evidence, log ∫ exp
+        L(x) over places in m² and admissible velocities, all alike likely (but no more than L): it
+        tells targets from clutter better than the maximum does.
         The search is not differentiated: gradients are those of the maximum it ends in, by the
         implicit function theorem.
 
@@ -143,30 +147,18 @@ def estimate(
         one = lambda x, scan: observation.responsibility(x, scan, fixed_sensor)
         return jax.vmap(one)(_along(state, fixed), fixed._replace(weight=weight))
 
-    def pick(left: Array, _: None) -> tuple[Array, tuple[Array, Array]]:
-        rest = fixed._replace(weight=left)
+    def pick(free: Array, _: None) -> tuple[Array, tuple[Array, Array, Array]]:
+        rest = fixed._replace(weight=whole * free)
         score = rank(start, there, rest)
         first = jax.lax.top_k(score, min(sizes.starts, score.shape[0]))[1]
         states = jax.vmap(lambda x: climb(x, rest))(start[first])
         score = jnp.where(there[first], observation.scores(states, rest, fixed_sensor), -jnp.inf)
         top = jnp.argmax(score)
-        return left * (1 - claim(states[top], left)), (states[top], score[top])
+        explained = claim(states[top], whole * free)
+        return free * (1 - explained), (states[top], score[top], free)
 
-    _, (states, picked) = jax.lax.scan(pick, whole, length=sizes.tracks)
-
-    # Only what passes the gate may take detections away from the others.
-    real = (picked >= gate).astype(dtype)[:, None, None]
-
-    def refit(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
-        states, free = carry
-        claims = real * jax.vmap(claim)(states, whole[None] * free)
-        share = safe_divide(claims**2, claims.sum(0, keepdims=True))
-        free = 1 - (share.sum(0, keepdims=True) - share)
-        refine = lambda x, w: observation.refine(x, fixed._replace(weight=w), fixed_sensor)
-        return (jax.vmap(refine)(states, whole[None] * free), free), None
-
-    begin = states, jnp.ones((sizes.tracks, *counts.shape), dtype)
-    (states, free), _ = jax.lax.scan(refit, begin, length=_REFITS)
+    nothing = jnp.ones(counts.shape, dtype)
+    _, (states, picked, unexplained) = jax.lax.scan(pick, nothing, length=sizes.tracks)
 
     def finish(state: Array, free: Array) -> tuple[Array, ...]:
         def total(state: Array, scans: Any, sensor: Any) -> Array:
@@ -190,7 +182,9 @@ def estimate(
         information = observation.information(state, seen(fixed), fixed_sensor)
         information = information + _weak_prior(params.speed, dtype)
         points = jnp.asarray(_normal_points(sizes.samples), dtype)
-        definite, covariance = jnp.asarray(False), jnp.zeros_like(information)
+        fastest, slowest = (jnp.asarray(v, dtype) for v in params.speed[::-1])
+        disc = jnp.log(jnp.pi * (fastest**2 - slowest**2))  # of velocities, all alike likely
+        definite, covariance, score = jnp.asarray(False), jnp.zeros_like(information), -disc
         for last in (False,) * (_ROUNDS - 1) + (True,):
             # Only the last round's weights carry gradients: where samples stand is no matter.
             at, given = (seen(scans), sensor) if last else (seen(fixed), fixed_sensor)
@@ -199,15 +193,34 @@ def estimate(
             speed = safe_norm(states[:, 2:4])
             inside = (speed >= params.speed.v_min_m_s) & (speed <= params.speed.v_max_m_s)
             value = observation.scores(states, at, given) + (points**2).sum(-1) / 2
-            weight = jax.nn.softmax(jnp.where(inside, value, -1e9))
+            value = jnp.where(inside, value, -1e9)
+            volume = jnp.log(2 * jnp.pi * _INFLATION**2) * 2 + jnp.log(jnp.diagonal(root)).sum()
+            score = jax.nn.logsumexp(value) - math.log(sizes.samples) + volume - disc
+            weight = jax.nn.softmax(value)
             state = weight @ states
             apart = states - state[None]
             covariance = (weight[:, None] * apart).T @ apart
             # No narrower than a few samples can tell.
             information, _ = scaled_inverse(covariance + jnp.diag(jnp.diagonal(covariance)) * 0.05)
         one = lambda x, scan: observation.log_likelihood_ratio(x, scan, sensor)
-        score = jax.vmap(one)(_along(state, scans), seen(scans)).sum()
-        return state, covariance, score, definite
+        at_mean = jax.vmap(one)(_along(state, scans), seen(scans)).sum()
+        # Where nothing is seen, nothing speaks against a target: a wide volume alone is no track.
+        return state, covariance, jnp.where(score < at_mean, score, at_mean), definite
+
+    # Only what passes the gate may take detections away from the others.
+    strength = jax.vmap(average)(states, unexplained)[2] if sizes.samples else picked
+    real = (strength >= gate).astype(dtype)[:, None, None]
+
+    def refit(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
+        states, free = carry
+        claims = real * jax.vmap(claim)(states, whole[None] * free)
+        share = safe_divide(claims**2, claims.sum(0, keepdims=True))
+        free = 1 - (share.sum(0, keepdims=True) - share)
+        refine = lambda x, w: observation.refine(x, fixed._replace(weight=w), fixed_sensor)
+        return (jax.vmap(refine)(states, whole[None] * free), free), None
+
+    begin = states, jnp.ones_like(unexplained)
+    (states, free), _ = jax.lax.scan(refit, begin, length=_REFITS)
 
     end_of_search = jax.lax.stop_gradient((states, free))
     found = jax.vmap(average if sizes.samples else finish)(*end_of_search)

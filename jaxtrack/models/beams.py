@@ -36,6 +36,7 @@ class BeamSensor(NamedTuple):
 
     sonar: BeamSonar = BeamSonar()
     spread_beams: Array | float = 0.1  # s_b, blur of the beams' edges
+    p_other: Array | float = 0.02  # o, a beam with the target reports another target instead
 
 
 _Three = tuple[Array, Array, Array]
@@ -43,10 +44,11 @@ _Three = tuple[Array, Array, Array]
 
 
 class _Report(NamedTuple):
-    """What the three nearest beams report to each state; weight −1: no such beam."""
+    """What the three nearest beams report to each state."""
 
     range_m: _Three
-    weight: _Three
+    peak: _Three  # of the target's own detection: w (1 − o) (1 − P_M) ρ_D / (P_F σ √2π)
+    rest: _Three  # ratio of everything else that the report can be; 1 where there is no beam
 
 
 class _Place(NamedTuple):
@@ -65,7 +67,7 @@ def beam_log_likelihood_ratio(state: Array, scan: BeamScan, params: BeamSensor) 
 
     Args:
         state: [4] x, y, vx, vy at the look's time.
-        scan: one look; a detection of weight w is one with probability w, else silence.
+        scan: one look; a detection of weight w counts with probability w, and says nothing else.
         params: the sonar and the blur of its beams' edges.
 
     Returns:
@@ -82,14 +84,14 @@ def beam_log_likelihood_ratio(state: Array, scan: BeamScan, params: BeamSensor) 
     Source: the statistic of maximum-likelihood track-before-detect; see `docs/design.md`.
     """
     place = _place(state[0], state[1], scan, params)
-    report = _report(place.beams, _table(scan))
+    report = _report(place.beams, _table(scan, params))
     return jnp.where(scan.valid, jnp.log(_ratio(place, report, params)[0]), 0.0)
 
 
 def beam_responsibility(state: Array, scan: BeamScan, params: BeamSensor) -> Array:
     """Return the posterior probability that each beam's detection is the target's, [B].
 
-        r_b = Q P(b | u) w_b (1 − P_M) N(r_b; ρ, σ²) ρ_D / P_F / Λ
+        r_b = Q P(b | u) w_b (1 − o) (1 − P_M) N(r_b; ρ, σ²) ρ_D / P_F / Λ
 
     Args:
         state: [4] x, y, vx, vy at the look's time.
@@ -104,7 +106,7 @@ def beam_responsibility(state: Array, scan: BeamScan, params: BeamSensor) -> Arr
         [0. 1. 0.]
     """
     place = _place(state[0], state[1], scan, params)
-    total, own = _ratio(place, _report(place.beams, _table(scan)), params)
+    total, own = _ratio(place, _report(place.beams, _table(scan, params)), params)
     beam = jnp.arange(scan.mask.shape[0], dtype=jnp.int32)
     nearest = _nearest(place.beams, scan.mask.shape[0])
     claims = sum(
@@ -135,7 +137,9 @@ def beam_scores(states: Array, scans: BeamScan, params: BeamSensor) -> Array:
     scans = scans._replace(time_s=look_times(scans)[0])
     at = lambda scan: _place(x + vx * scan.time_s, y + vy * scan.time_s, scan, params)
     places = jax.lax.map(at, scans)
-    reports = jax.lax.map(lambda look: _report(look[0], _table(look[1])), (places.beams, scans))
+    reports = jax.lax.map(
+        lambda look: _report(look[0], _table(look[1], params)), (places.beams, scans)
+    )
 
     def look(total: Array, one: tuple[_Place, _Report, Array]) -> tuple[Array, None]:
         place, report, valid = one
@@ -194,7 +198,7 @@ def beam_positions(scans: BeamScan, params: BeamSensor) -> Scan:
 def blur_beams(params: BeamSensor, factor: Array | float) -> BeamSensor:
     """Return the sensor with its range noise and its beams' edges blurred, 1.3: by 0.4 beams."""
     sonar = params.sonar._replace(sigma_m=factor * params.sonar.sigma_m)
-    return BeamSensor(sonar, params.spread_beams + (factor - 1) * 4 / 3)
+    return params._replace(sonar=sonar, spread_beams=params.spread_beams + (factor - 1) * 4 / 3)
 
 
 BEAMS = Observation(
@@ -215,7 +219,7 @@ def _normal_equations(state: Array, scans: BeamScan, params: BeamSensor) -> tupl
 
     def look(x: Array, y: Array, scan: BeamScan) -> tuple[Array, Array]:
         place = _place(x, y, scan, params)
-        report = _report(place.beams, _table(scan))
+        report = _report(place.beams, _table(scan, params))
         total, own = _ratio(place, report, params)
         claim = [jnp.where(scan.valid, one / total, 0.0) for one in own]
         width = jnp.asarray(params.sonar.sector_rad, state.dtype) / scan.mask.shape[0]
@@ -248,13 +252,24 @@ def _pose(scan: BeamScan) -> Pose:
     return jax.tree.map(lambda x: jnp.where(scan.valid, x, jnp.zeros_like(x)), scan.pose)
 
 
-def _table(scan: BeamScan) -> tuple[Array, Array]:
-    """Ranges and weights of one look's beams, with beams that do not exist at both ends."""
-    weight = jnp.ones_like(scan.range_m) if scan.weight is None else scan.weight
+def _table(scan: BeamScan, params: BeamSensor) -> tuple[Array, Array, Array]:
+    """Ranges, peaks and rests of one look's beams, with beams that do not exist at both ends."""
+    sonar, dtype = params.sonar, scan.range_m.dtype
+    cast = lambda x: jnp.asarray(x, dtype)
+    miss, false, clutter, other = (
+        cast(x) for x in (sonar.p_miss, sonar.p_false, sonar.clutter_in_missed_beam, params.p_other)
+    )
+    alone = 1 - other
     counts = scan.mask & scan.valid
+    weight = jnp.ones_like(scan.range_m) if scan.weight is None else scan.weight
     weight = jnp.where(counts, weight, 0.0)
+    normal = cast(sonar.range_max_m) / (cast(sonar.sigma_m) * math.sqrt(2 * math.pi))
+    peak = weight * (alone * (1 - miss) * normal / false)
+    something = alone * miss * clutter + other / false
+    silence = alone * miss * (1 - clutter * false) / (1 - false)
+    rest = jnp.where(counts, 1 + weight * (something - 1), silence)
     range_m = jnp.where(counts, scan.range_m, 0.0)
-    return jnp.pad(range_m, _PAD), jnp.pad(weight, _PAD, constant_values=-1.0)
+    return jnp.pad(range_m, _PAD), jnp.pad(peak, _PAD), jnp.pad(rest, _PAD, constant_values=1.0)
 
 
 def _nearest(beams: Array, count: int) -> _Three:
@@ -263,14 +278,10 @@ def _nearest(beams: Array, count: int) -> _Three:
     return middle - 1, middle, middle + 1
 
 
-def _report(beams: Array, table: tuple[Array, Array]) -> _Report:
-    range_m, weight = table
-    nearest = _nearest(beams, range_m.shape[0] - 2 * _PAD)
+def _report(beams: Array, table: tuple[Array, Array, Array]) -> _Report:
+    nearest = _nearest(beams, table[0].shape[0] - 2 * _PAD)
     port, middle, starboard = nearest
-    return _Report(
-        (range_m[port], range_m[middle], range_m[starboard]),
-        (weight[port], weight[middle], weight[starboard]),
-    )
+    return _Report(*((column[port], column[middle], column[starboard]) for column in table))
 
 
 def _place(x: Array, y: Array, scan: BeamScan, params: BeamSensor) -> _Place:
@@ -292,22 +303,16 @@ def _ratio(place: _Place, report: _Report, params: BeamSensor) -> tuple[Array, _
     What lies beyond the three beams is the outer ones'.
     """
     cast = lambda x: jnp.asarray(x, place.range_m.dtype)
-    miss, false, clutter = (cast(x) for x in (params.sonar.p_miss, params.sonar.p_false,
-                                              params.sonar.clutter_in_missed_beam))  # fmt: skip
     sigma, scope = cast(params.sonar.sigma_m), cast(params.sonar.range_max_m)
-    silent = miss * (1 - clutter * false) / (1 - false)
-    peak = (1 - miss) * scope / (false * sigma * math.sqrt(2 * math.pi))
     within = place.beams - jnp.floor(place.beams)
     spread = cast(params.spread_beams)
     port, starboard = _phi(-within / spread), _phi((within - 1) / spread)
     inside = _phi((scope - place.range_m) / sigma)
     total, own = 1 - inside + _LEAST, []
     shares = port, 1 - port - starboard, starboard
-    for share, range_m, weight in zip(shares, report.range_m, report.weight, strict=True):
-        exists = weight >= 0
+    for share, range_m, peak, rest in zip(shares, *report, strict=True):
         density = jnp.exp(-(((range_m - place.range_m) / sigma) ** 2) / 2)
-        seen = inside * share * jnp.where(exists, weight, 0.0) * peak * density
-        rest = jnp.where(exists, silent + weight * (miss * clutter - silent), 1.0)
+        seen = inside * share * peak * density
         total = total + (seen + inside * share * rest)
         own.append(seen)
     return total, tuple(own)

@@ -27,7 +27,7 @@ from jaxtrack.types import Array, BeamScan, Key, Scan, Tracks
 BEAM_COUNT = 90
 CUTOFF = 20.0  # metres, and metres a second
 ORDER = 2.0
-SPEED = SpeedGate(0.0, 8.0)  # what estimators and floor assume of a target's speed
+SPEED = SpeedGate(0.0, 6.0)  # what estimators and floor assume of a target's speed
 METHODS = ("SHT", "CSHT", "joint")
 KNOWN = ("floor", "least squares")  # they are told which detection is whose
 

@@ -41,7 +41,7 @@ def scene(seed, *, targets=2):
     return BeamScan(time_s, np.ones(LOOKS, bool), np.where(mask, range_m, np.nan), mask, pose)  # pyright: ignore
 
 
-def joint_params(gate=14.0):
+def joint_params(gate=6.0):
     return JointParams(BeamSensor(SONAR), SPEED, gate)
 
 
@@ -59,13 +59,25 @@ def test_both_targets_are_found_where_they_are():
         assert (free < 1 + 1e-9).all()
 
 
-def test_a_lone_track_has_the_score_of_the_loop():
+def test_a_lone_track_has_the_evidence_of_brute_force():
     scan = scene(11, targets=1)
-    tracks, _ = track(scan, joint_params(gate=20.0))
+    tracks, _ = track(scan, joint_params(gate=10.0))
     assert tracks.mask[0]
     assert not tracks.mask[1]
-    score = oracle.score(np.asarray(tracks.mean[0]), float(scan.time_s[-1]), scan, SONAR, 0.1)
-    np.testing.assert_allclose(tracks.log_score[0], score, rtol=1e-6)
+    # Draws from a Gaussian twice as wide as the posterior, each weighted by what it stands for.
+    mean, covariance = np.asarray(tracks.mean[0]), 4.0 * np.asarray(tracks.covariance[0])
+    root, rng = np.linalg.cholesky(covariance), np.random.default_rng(0)
+    values = []
+    for z in rng.normal(size=(4000, 4)):
+        state = mean + root @ z
+        log_density = -0.5 * z @ z - 2 * math.log(2 * math.pi) - np.log(np.diag(root)).sum()
+        speed = math.hypot(*state[2:])
+        inside = SPEED.v_min_m_s <= speed <= SPEED.v_max_m_s
+        value = oracle.score(state, float(scan.time_s[-1]), scan, SONAR, 0.1, 0.02)
+        values.append(value - log_density if inside else -math.inf)
+    disc = math.pi * (SPEED.v_max_m_s**2 - SPEED.v_min_m_s**2)
+    expected = np.log(np.mean(np.exp(np.array(values) - max(values)))) + max(values)
+    np.testing.assert_allclose(tracks.log_score[0], expected - math.log(disc), atol=0.15)
 
 
 def test_too_many_detections_say_so():
@@ -98,7 +110,7 @@ def test_slopes_are_those_of_differences():
 
     def loss(sigma):
         sonar = SONAR._replace(sigma_m=2.0 * sigma)
-        params = JointParams(BeamSensor(sonar), SPEED, 14.0)
+        params = JointParams(BeamSensor(sonar), SPEED, 6.0)
         return track(jax.tree.map(jnp.asarray, scan), params)[0].log_score[0]
 
     assert_gradients_agree(loss, np.array(1.0), rtol=0.05, atol=0.05)

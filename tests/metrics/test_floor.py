@@ -55,7 +55,8 @@ def test_posterior_mean_is_that_of_brute_force(seed):
     got = mean_of(jax.random.key(seed), seen, SONAR, SPEED, truth)
     spread = np.sqrt(np.diag(got.covariance))
     density = lambda state: oracle.log_posterior(state, *loops(seen), SPEED)
-    expected = oracle.posterior_mean(density, got.state, 3.5 * spread, 17)
+    rng = np.random.default_rng(0)
+    expected = oracle.posterior_mean(density, got.state, np.asarray(got.covariance), 12_000, rng)
     assert got.effective_samples > 100
     np.testing.assert_allclose((got.state - expected) / spread, 0.0, atol=0.15)
 
@@ -98,7 +99,7 @@ def test_the_ceiling_is_the_score_at_the_truth():
     scans = BeamScan(0.5 * np.arange(4.0), np.ones(4, bool), 150 * rng.random((4, 9)), mask, pose)  # pyright: ignore
     truth = np.array([[60.0, 10.0, 1.0, 0.0], [50.0, -20.0, 0.0, 1.0], [np.nan] * 4])
     there = np.array([True, True, False])
-    scores = [score(x, 1.5, scans, SONAR, 0.1) for x in truth[:2]]
+    scores = [score(x, 1.5, scans, SONAR, 0.1, 0.02) for x in truth[:2]]
     passes = jax.jit(functools.partial(all_pass_at_truth, observation=BEAMS))
     for gate, expected in ((min(scores) - 1e-3, True), (min(scores) + 1e-3, False)):
         got = passes(truth, there, scans, BeamSensor(SONAR, 0.1), gate)

@@ -14,6 +14,7 @@ from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import beam_joint as oracle
 
 LOOKS, COUNT = 5, 9
+OTHER = 0.03  # another target answers
 score = jax.jit(BEAMS.scores)
 ratio = jax.jit(BEAMS.log_likelihood_ratio)
 claims = jax.jit(BEAMS.responsibility)
@@ -55,14 +56,14 @@ def at_look(scans, k):
 def test_scores_ratios_and_claims_equal_the_loop(detected, spread):
     for seed in range(6):
         scans, states = random_looks(seed, detected=detected), random_states(seed)
-        sensor = BeamSensor(sonar(), spread)
+        sensor = BeamSensor(sonar(), spread, OTHER)
         some = np.flatnonzero(scans.valid)
         end = float(scans.time_s[some[-1]]) if some.size else 0.0
-        expected = [oracle.score(x, end, scans, sensor.sonar, spread) for x in states]
+        expected = [oracle.score(x, end, scans, sensor.sonar, spread, OTHER) for x in states]
         np.testing.assert_allclose(score(states, scans, sensor), expected, rtol=1e-7, atol=1e-6)
         for k in range(LOOKS):
             one = at_look(scans, k)
-            arguments = states[0], scans, k, sensor.sonar, spread
+            arguments = states[0], scans, k, sensor.sonar, spread, OTHER
             want = oracle.log_likelihood_ratio(*arguments)
             np.testing.assert_allclose(ratio(states[0], one, sensor), want, rtol=1e-7, atol=1e-6)
             want = oracle.responsibility(*arguments)
@@ -77,13 +78,17 @@ def test_what_cannot_be_seen_says_nothing():
     np.testing.assert_array_equal(score(random_states(0), lost, BeamSensor(sonar())), 0.0)
 
 
-def test_a_detection_of_weight_zero_is_silence():
-    scans = random_looks(2, valid=1.0)
-    kept = scans.mask & (np.arange(COUNT) != 4)
-    silent = scans._replace(mask=kept)
-    weightless = scans._replace(weight=np.where(kept, scans.weight, 0.0))
-    states, sensor = random_states(2), BeamSensor(sonar())
-    np.testing.assert_allclose(score(states, weightless, sensor), score(states, silent, sensor))
+def test_a_detection_of_weight_zero_says_nothing_for_whoever_is_in_its_beam():
+    pose = Pose(np.zeros(2), np.zeros(()))
+    look = BeamScan(np.zeros(()), np.bool_(True), np.full(COUNT, 60.0), np.arange(COUNT) == 4, pose)
+    angle = (4.5 - COUNT / 2) * float(sonar().sector_rad) / COUNT
+    state = np.array([60.0 * np.cos(angle), 60.0 * np.sin(angle), 0.0, 0.0])
+    heard, silent = look, look._replace(mask=np.zeros(COUNT, bool))
+    ignored = look._replace(weight=np.zeros(COUNT))
+    sensor = BeamSensor(sonar(), 0.1, OTHER)
+    assert ratio(state, heard, sensor) > 1.0
+    assert ratio(state, silent, sensor) < -0.1
+    np.testing.assert_allclose(ratio(state, ignored, sensor), 0.0, atol=1e-3)
 
 
 @pytest.mark.parametrize("p_miss", [0.1, 0.7])

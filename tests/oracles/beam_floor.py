@@ -3,7 +3,6 @@
 Ranges have Gaussian noise, bearings are uniform inside their beams.
 """
 
-import itertools
 import math
 
 import numpy as np
@@ -28,16 +27,15 @@ def log_posterior(state, elapsed, poses, ranges, beams, known, sonar, count, spe
     return total
 
 
-def posterior_mean(log_density, centre, half_widths, points):
-    """Return the mean of a density on a grid of points⁴ cells about a centre."""
-    axes = [c + h * np.linspace(-1, 1, points) for c, h in zip(centre, half_widths, strict=True)]
-    total, first = 0.0, np.zeros(4)
-    for state in itertools.product(*axes):
-        value = log_density(state)
-        if value > -math.inf:
-            total += math.exp(value)
-            first += math.exp(value) * np.array(state)
-    return first / total
+def posterior_mean(log_density, centre, covariance, draws, rng):
+    """Return the mean of a density, from weighted draws of a Gaussian twice as wide as it."""
+    root = 2.0 * np.linalg.cholesky(covariance)
+    states, values = [], []
+    for z in rng.normal(size=(draws, 4)):
+        states.append(np.asarray(centre) + root @ z)
+        values.append(log_density(states[-1]) + 0.5 * z @ z)
+    weights = np.exp(np.array(values) - max(values))
+    return weights @ np.array(states) / weights.sum()
 
 
 def least_squares(start, elapsed, poses, ranges, beams, known, sonar, count, steps=15):

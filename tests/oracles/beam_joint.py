@@ -34,23 +34,25 @@ def beam_shares(beams, spread):
     return [(middle - 1, port), (middle, 1.0 - port - starboard), (middle + 1, starboard)]
 
 
-def beam_ratio(range_m, weight, rho, sonar):
+def beam_ratio(range_m, weight, rho, sonar, other):
     """Return p(a beam's report | it holds a target at range rho) / p(the same | it is empty).
 
-    A detection of weight w is one with probability w, and silence otherwise. range_m None: silent.
+    A detection of weight w counts with probability w, and says nothing otherwise. range_m None:
+    silent. With probability `other` another target answers, its range anywhere.
     """
     silent = sonar.p_miss * (1.0 - sonar.clutter_in_missed_beam * sonar.p_false)
     silent /= 1.0 - sonar.p_false
     if range_m is None:
-        return silent
+        return (1.0 - other) * silent
     sigma = sonar.sigma_m
     density = math.exp(-0.5 * ((range_m - rho) / sigma) ** 2) / (sigma * math.sqrt(2.0 * math.pi))
     clutter = sonar.p_false / sonar.range_max_m
     missed = sonar.p_miss * sonar.clutter_in_missed_beam * clutter
-    return weight * ((1.0 - sonar.p_miss) * density + missed) / clutter + (1.0 - weight) * silent
+    own = (1.0 - other) * ((1.0 - sonar.p_miss) * density + missed) + other / sonar.range_max_m
+    return weight * own / clutter + (1.0 - weight)
 
 
-def ratio_parts(state, scan, k, sonar, spread):
+def ratio_parts(state, scan, k, sonar, spread, other):
     """Return [(beam, share of the likelihood ratio that is the beam's detection's)], and the ratio.
 
     The state is at the look's time.
@@ -68,39 +70,39 @@ def ratio_parts(state, scan, k, sonar, spread):
         weight = 1.0 if scan.weight is None else float(scan.weight[k, beam])
         detected = bool(scan.mask[k, beam])
         range_m = float(scan.range_m[k, beam]) if detected else None
-        total += inside * share * beam_ratio(range_m, weight, rho, sonar)
+        total += inside * share * beam_ratio(range_m, weight, rho, sonar, other)
         if detected:
             sigma = sonar.sigma_m
             own = math.exp(-0.5 * ((range_m - rho) / sigma) ** 2)
             own *= (1.0 - sonar.p_miss) / (sigma * math.sqrt(2.0 * math.pi))
-            own *= sonar.range_max_m / sonar.p_false
+            own *= (1.0 - other) * sonar.range_max_m / sonar.p_false
             parts.append((beam, inside * share * weight * own))
     return parts, total + LEAST
 
 
-def log_likelihood_ratio(state, scan, k, sonar, spread):
+def log_likelihood_ratio(state, scan, k, sonar, spread, other):
     """Return log p(look k | target at state) − log p(look k | no target)."""
     if not bool(scan.valid[k]):
         return 0.0
-    return math.log(ratio_parts(state, scan, k, sonar, spread)[1])
+    return math.log(ratio_parts(state, scan, k, sonar, spread, other)[1])
 
 
-def responsibility(state, scan, k, sonar, spread):
+def responsibility(state, scan, k, sonar, spread, other):
     """Return how far the detection of each beam of look k is the target's."""
     claims = [0.0] * scan.range_m.shape[1]
     if bool(scan.valid[k]):
-        parts, total = ratio_parts(state, scan, k, sonar, spread)
+        parts, total = ratio_parts(state, scan, k, sonar, spread, other)
         for beam, part in parts:
             claims[beam] = part / total
     return claims
 
 
-def score(state, t_state, scan, sonar, spread):
+def score(state, t_state, scan, sonar, spread, other):
     """Return a trajectory's log-likelihood ratio summed over the looks; the state is at t_state."""
     total = 0.0
     for k in range(len(scan.time_s)):
         if bool(scan.valid[k]):
             after = float(scan.time_s[k]) - t_state
             there = (state[0] + after * state[2], state[1] + after * state[3])
-            total += log_likelihood_ratio(there, scan, k, sonar, spread)
+            total += log_likelihood_ratio(there, scan, k, sonar, spread, other)
     return total
