@@ -47,7 +47,19 @@ from jaxtrack import (
     types,
 )
 from jaxtrack.montecarlo import MonteCarlo, monte_carlo
-from jaxtrack.types import Estimator, Lines, Pose, Scan, Stage, Tracks, Truth
+from jaxtrack.types import (
+    BeamScan,
+    Estimator,
+    Lines,
+    LogLikelihoodRatio,
+    Pings,
+    Pose,
+    Scan,
+    Stage,
+    Tracks,
+    Truth,
+    WindowEstimator,
+)
 
 if TYPE_CHECKING:
     from jaxtrack import plots, studies
@@ -55,14 +67,18 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "BeamScan",
     "Estimator",
     "Lines",
+    "LogLikelihoodRatio",
     "MonteCarlo",
+    "Pings",
     "Pose",
     "Scan",
     "Stage",
     "Tracks",
     "Truth",
+    "WindowEstimator",
     "clustering",
     "filtering",
     "hough",

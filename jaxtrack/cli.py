@@ -73,13 +73,15 @@ def initiate(
     """Start tracks in a file of detections; all its looks form one window.
 
     Args:
-        file: CSV with columns time_s and x_m, y_m or range_m, bearing_deg; one detection a row.
+        file: CSV, one detection a row: time_s and x_m, y_m or range_m, bearing_deg; where there
+            are, scan, weight, sigma_m or cov_xx_m2, cov_xy_m2, cov_yy_m2 and, with bearings,
+            sigma_range_m, sigma_bearing_deg, own_x_m, own_y_m, own_heading_deg.
         method: how detections vote for tracks; joint is the best, the others are the paper's.
         out: where the tracks go, CSV.
         figure: a map of detections and tracks goes here (PNG, PDF or SVG).
         speed_min_m_s: slowest target, m/s.
         speed_max_m_s: fastest target, m/s.
-        sigma_m: standard deviation of each coordinate of a detection, m.
+        sigma_m: standard deviation of each coordinate of a detection, m; more where targets bend.
         p_detect: probability that a target is detected in a look.
         false_per_run: wanted mean number of false tracks in such a file; the gate comes from
             simulated scenes with the file's clutter and no targets.
@@ -107,6 +109,10 @@ def initiate(
     for path in (out, figure):
         if path is not None and not path.parent.is_dir():
             return _fail(f"{path}: there is no folder {path.parent}")
+        if path is not None and path.is_dir():
+            return _fail(f"{path}: got a folder, want the name of a file")
+    if out.exists() and file.exists() and out.samefile(file):
+        return _fail(f"--out: got {out}, which is the file of detections itself")
     try:
         recording = read_detections(file, bearing=bearing)
         with _progress(errors) as report:
@@ -126,7 +132,7 @@ def initiate(
             _draw(plots, figure, recording, tracks, info, f"{file.name}, {method}")
     except (OSError, ValueError) as error:  # a DataError is a ValueError
         return _fail(_line(error))
-    _print_tracks(console, recording, tracks, info, gate)
+    _print_tracks(console, recording, tracks, info, gate, seed)
     for note in info.notes:
         errors.print(f"note: {note}", highlight=False, soft_wrap=True)
     console.print(f"{out}" + (f", {figure}" if figure else ""), highlight=False, soft_wrap=True)
@@ -247,14 +253,19 @@ def _progress(console: "Console") -> Iterator[Callable[[str, int, int], None]]:
 
 
 def _print_tracks(
-    console: "Console", recording: "Recording", tracks: "Tracks", info: "WindowInfo", gate: float
+    console: "Console",
+    recording: "Recording",
+    tracks: "Tracks",
+    info: "WindowInfo",
+    gate: float,
+    seed: int,
 ) -> None:
     import numpy as np
     from rich.table import Table
 
     if info.trials:
         console.print(
-            f"gate {gate:.2f} from {info.trials} scenes without targets, "
+            f"gate {gate:.2f} from {info.trials} scenes without targets (seed {seed}), "
             f"clutter {info.clutter_per_m2 * 1e6:.3g} a square kilometre and look",
             highlight=False,
             soft_wrap=True,

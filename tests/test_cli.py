@@ -300,6 +300,22 @@ def test_a_missing_extra_is_one_line(run, monkeypatch, package):
     assert "pip install 'jaxtrack[studies,plots]'" in err
 
 
+def test_the_input_is_not_overwritten_and_folders_are_no_files(run, tmp_path):
+    file = tmp_path / "detections.csv"
+    file.write_text(EXAMPLE.read_text())
+    before = file.read_bytes()
+    code, _, err = run("initiate", file, "--out", file)
+    assert code != 0
+    assert "the file of detections itself" in err
+    assert file.read_bytes() == before
+    for option in ("--out", "--figure"):
+        folder = tmp_path / "folder.png"
+        folder.mkdir(exist_ok=True)
+        code, _, err = run("initiate", file, option, folder)
+        assert code != 0
+        assert "want the name of a file" in err
+
+
 def test_the_process_uses_every_core_and_float32(tmp_path):
     program = (
         "import os, sys, jax\n"

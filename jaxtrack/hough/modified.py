@@ -8,6 +8,7 @@ from jaxtrack.hough.grid import Grid, Sizes, check_sizes
 from jaxtrack.hough.pairs import Pairs, SpeedGate, candidate_pairs
 from jaxtrack.hough.peaks import HoughInfo, Peaks, extract, inform
 from jaxtrack.hough.votes import VoteKernel, Votes, hard, soft
+from jaxtrack.numerics.checks import check_positive
 from jaxtrack.types import Array, Key, Lines, Scan
 
 
@@ -84,6 +85,8 @@ def vote_once(
     if eps is None:
         kernel = hard(grid, sizes, dtype)
     else:
-        kernel = soft(grid, sizes, jnp.asarray(eps[0], dtype), jnp.asarray(eps[1], dtype), dtype)
+        eps_rho = check_positive("eps_rho_m", eps[0], dtype)
+        eps_theta = check_positive("eps_theta_rad", eps[1], dtype)
+        kernel = soft(grid, sizes, eps_rho, eps_theta, dtype)
     lines = extract(votes, votes, kernel, grid, peaks, sizes=sizes)
     return lines, inform(lines, scans, peaks, pairs.overflow.any(), votes)

@@ -24,7 +24,7 @@ from jaxtrack.hough.votes import (
     soft,
 )
 from jaxtrack.models.line import line_difference, line_through, wrap_line
-from jaxtrack.numerics.checks import check_choice
+from jaxtrack.numerics.checks import check_choice, check_positive
 from jaxtrack.numerics.choice import choose, greater, step
 from jaxtrack.numerics.safe import safe_divide, safe_sqrt
 from jaxtrack.types import Array, Key, Lines, Scan
@@ -231,8 +231,12 @@ def _estimate(
     check_choice("rules.landing", rules.landing, LANDINGS)
     check_choice("rules.scale", rules.scale, SCALES)
     dtype = scans.position_m.dtype
-    grid, eps = params.grid, (params.eps_rho_m, params.eps_theta_rad)
-    eps_rho, eps_theta = (jnp.asarray(x, dtype) for x in eps)
+    eps_rho = check_positive("params.eps_rho_m", params.eps_rho_m, dtype)
+    eps_theta = check_positive("params.eps_theta_rad", params.eps_theta_rad, dtype)
+    params = params._replace(eps_rho_m=eps_rho, eps_theta_rad=eps_theta)
+    if temperature is not None:
+        temperature = check_positive("temperature", temperature, dtype)
+    grid = params.grid
     origin = jnp.asarray(grid.origin_m, dtype)
     pairs = candidate_pairs(scans, origin, params.speed, pairs=sizes.pairs)
     member = memberships(pairs, params, temperature, sizes=sizes, rules=rules)
@@ -248,8 +252,7 @@ def _estimate(
     elif temperature is None:
         kernel = hard(grid, sizes, dtype)
     else:
-        width = jnp.asarray(temperature, dtype)
-        kernel = soft(grid, sizes, width * eps_rho, width * eps_theta, dtype)
+        kernel = soft(grid, sizes, temperature * eps_rho, temperature * eps_theta, dtype)
     if rules.landing == "own_and_kernel_cell":
         after = member.vote.at[0].set(0.0)  # the first interval has no kernels
         there = query._replace(

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxtrack.models.line import line_covariance, line_through
 from jaxtrack.models.motion import look_times
-from jaxtrack.numerics.checks import check_size
+from jaxtrack.numerics.checks import check_scans, check_size
 from jaxtrack.types import Array, Scan
 
 
@@ -78,6 +78,7 @@ def candidate_pairs(scans: Scan, origin_m: Array, speed: SpeedGate | None, *, pa
 
     Source: neutrosophic Hough transform (2018), equations 4 and 20–22.
     """
+    check_scans(scans)
     check_size("number of looks", scans.mask.shape[0], at_least=2)
     counts = scans.mask & scans.valid[:, None]
     position = jnp.where(counts[..., None], scans.position_m, 0.0)
@@ -137,6 +138,7 @@ def distant_pairs(
         >>> print(states[0], mask)
         [  0. 200.   0. 200.] [ True False]
     """
+    check_scans(scans)
     looks, n = scans.mask.shape
     check_size("number of looks", looks, at_least=gap + 1)
     couples = [(k, k + g) for g in range(gap, looks) for k in range(looks - g)]

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxtrack.hough.grid import Grid, Sizes, cell_of, centre_of, check_sizes, steps
 from jaxtrack.hough.peaks import BLOCK, HoughInfo, Peaks, RowReader, extract_rows, inform, smooth
 from jaxtrack.hough.votes import interval_mass
+from jaxtrack.numerics.checks import check_positive, check_scans
 from jaxtrack.types import Array, Key, Lines, Scan
 
 
@@ -118,7 +119,8 @@ def soft_votes(
     rho_step, _ = steps(grid, sizes, dtype)
     i, j, inside = cell_of(rho_m, theta_rad, grid, sizes)
     centre, theta = centre_of(i, j, grid, sizes, dtype)
-    eps_rho, eps_theta = jnp.asarray(eps_rho_m, dtype), jnp.asarray(eps_theta_rad, dtype)
+    eps_rho = check_positive("eps_rho_m", eps_rho_m, dtype)
+    eps_theta = check_positive("eps_theta_rad", eps_theta_rad, dtype)
 
     def count(centre: Array, theta: Array) -> Array:
         cosine, sine = jnp.cos(theta), jnp.sin(theta)
@@ -156,6 +158,7 @@ def estimate(
         accumulator stands in memory: 20 MB at 1 600 × 3 142 cells.
     """  # noqa: E501
     check_sizes(sizes)
+    check_scans(scans)
     read = rows(scans, params.grid, sizes=sizes)
     if sizes.smooth:
         # Smoothing needs the rows around a row: here the accumulator has to stand in memory.

@@ -4,9 +4,12 @@ Everything here is in units of the cut-off c: (min(c, d) / c)^p lies in [0, 1] w
 so that neither large distances nor high orders overflow in float32.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxtrack.numerics.checks import check_array
 from jaxtrack.numerics.safe import safe_norm
@@ -80,6 +83,8 @@ def cutoff_costs(
     check_array("truths_mask", truths_mask, shape=(jnp.shape(truths)[0],))
     check_array("cutoff", cutoff, shape=())
     check_array("order", order, shape=())
+    _check_known("cutoff", cutoff, lambda c: 0 < c < np.inf, "a positive number")
+    _check_known("order", order, lambda p: 1 <= p < np.inf, "a number of at least 1")
 
     dtype = jnp.result_type(estimates, truths, float)
     cutoff, order = jnp.asarray(cutoff, dtype), jnp.asarray(order, dtype)
@@ -97,3 +102,9 @@ def _fill(points: Array, mask: Array) -> tuple[Array, Array]:
     points = jnp.where(mask[:, None], points, 0.0)
     absent = max(0, 1 - mask.size)  # the assignment wants no empty matrix
     return jnp.pad(points, ((0, absent), (0, 0))), jnp.pad(mask, (0, absent))
+
+
+def _check_known(name: str, value: Any, fits: Callable[[Any], bool], want: str) -> None:
+    """Refuse a value that is known and does not fit; a traced one is taken as it is."""
+    if not isinstance(value, jax.core.Tracer) and not fits(np.asarray(value)):
+        raise ValueError(f"{name}: got {value}, want {want}")

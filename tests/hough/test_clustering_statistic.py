@@ -1,13 +1,14 @@
 """The clustering-statistic Hough transform: against the loop, its promises, its gradients."""
 
 import functools
+from itertools import permutations
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxtrack.clustering import IsodataSizes
+from jaxtrack.clustering import IsodataParams, IsodataSizes
 from jaxtrack.hough.clustering_statistic import (
     ClusteringParams,
     ClusteringSizes,
@@ -17,13 +18,21 @@ from jaxtrack.hough.clustering_statistic import (
 )
 from jaxtrack.hough.slope_intercept import LineGrid, LineSizes
 from jaxtrack.types import Stage
-from tests.hough.beam_looks import beam_looks
+from tests.hough.beam_looks import TABLE_2, beam_looks
 from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import csht
 
 GRID_X, GRID_Y = LineGrid(-5.0, 0.25, -40.0, 4.0), LineGrid(-6.0, 0.3, -30.0, 5.0)
 CELLS_X, CELLS_Y = (-5.0, 41, 0.25, -40.0, 40, 4.0), (-6.0, 41, 0.3, -30.0, 40, 5.0)
-PARAMS = ClusteringParams(GRID_X, GRID_Y, cell_share=0.45)
+PARAMS = ClusteringParams(
+    GRID_X,
+    GRID_Y,
+    cell_share=0.45,
+    line_share=0.88,
+    velocity_scale_s=7.7,
+    cluster_time_s=3.0,
+    isodata=IsodataParams(2.0, 0.66, 0.9, 0.5, 0.43, 0.53, 0.06),
+)
 SIZES = ClusteringSizes(
     lines=LineSizes(velocities=41, positions=40),
     cells=160,
@@ -76,6 +85,7 @@ def test_it_equals_the_loop(seed):
         "lambda": PARAMS.cell_share,
         "lambda_line": PARAMS.line_share,
         "v_scale": PARAMS.velocity_scale_s,
+        "tau": PARAMS.cluster_time_s,
         "k0": SIZES.start,
         **dict(zip(("m", "alpha_c", "gamma", "lambda_d", "theta", "a", "delta"), p, strict=True)),
     }
@@ -274,16 +284,33 @@ def test_errors_name_the_argument():
 
 
 def test_it_finds_the_targets_of_table_2():
-    """Fresh seeds; the parameters were found on other scenes."""
+    """The mark of table 2, with one false alarm a look and K0 = 3, which is the true number.
+
+    The parameters were found on other, random scenes, most of them of three targets too.
+    """
 
     def trial(key):
         scans, truth = beam_looks(key)
         tracks, _ = estimate(scans, ClusteringParams())
-        apart = tracks.mean[:, None, :2] - truth[None, :, :2]
-        distance = jnp.where(tracks.mask[:, None], (apart**2).sum(-1), jnp.inf)
-        return tracks.mask.sum(), jnp.sqrt(jnp.sort(distance, axis=0)[0])
+        order = jnp.argsort(~tracks.mask, stable=True)[:3]
+        apart = tracks.mean[order][:, None, :2] - truth[None, :, :2]
+        distance = jnp.minimum(jnp.sqrt((apart**2).sum(-1)), 20.0)
+        each = [sum(distance[p[k], k] for k in range(3)) / 3 for p in permutations(range(3))]
+        return tracks.mask.sum(), jnp.stack(each).min()
 
-    keys = jax.random.split(jax.random.key(2018), 200)
-    number, distance = jax.jit(lambda k: jax.lax.map(trial, k, batch_size=8))(keys)
-    assert np.mean(number == 3) >= 0.7
-    assert np.median(distance) <= 3.0
+    keys = jax.random.split(jax.random.key(2018), 400)
+    number, ospa_m = jax.jit(lambda k: jax.lax.map(trial, k, batch_size=8))(keys)
+    exact = np.asarray(number) == 3
+    assert exact.mean() >= 0.9
+    # A window without the exact number counts as the cut-off.
+    assert np.median(np.where(exact, ospa_m, 20.0)) <= 3.0
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_fewer_targets_than_it_starts_from_are_overcounted(number):
+    """The price of K0 = 3: the last two patterns never merge, and three seldom become two."""
+    targets = TABLE_2[1 : 1 + number]
+    trial = lambda key: estimate(beam_looks(key, targets)[0], ClusteringParams())[0].mask.sum()
+    keys = jax.random.split(jax.random.key(7), 64)
+    found = jax.jit(lambda k: jax.lax.map(trial, k, batch_size=8))(keys)
+    assert np.mean(np.asarray(found) > number) > 0.5

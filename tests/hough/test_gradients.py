@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxtrack.hough import improved, modified, neutrosophic, standard
-from jaxtrack.hough.grid import Grid
+from jaxtrack.hough.grid import Grid, Sizes
 from jaxtrack.hough.votes import Votes, evaluate, gaussian, scaled_gaussian, soft
 from jaxtrack.types import Scan
 from tests.hough.cases import ORIGIN, PEAKS, SIZES, SPEED, random_looks
@@ -152,3 +152,32 @@ def test_gradients_are_finite_on_degenerate_looks(name):
         assert np.isfinite(value), case
         assert all(np.isfinite(g).all() for g in gradient), case
     assert all((g == 0.0).all() for g in gradient)
+
+
+def test_tolerances_of_zero_act_as_hard_votes_and_give_no_nan():
+    """Traced, a tolerance cannot be refused: it must not poison a sweep or a step of tuning."""
+    scans = Scan(
+        jnp.arange(3.0),
+        jnp.ones(3, bool),
+        jnp.array([[[0.0, 8.0]], [[200.0, 8.0]], [[450.0, 8.0]]]),
+        jnp.ones((3, 1), bool),
+    )
+    sizes = Sizes(lines=1, pairs=4)
+
+    def strongest(eps_rho, eps_theta):
+        params = improved.ImprovedParams()
+        return improved.soft_estimate(scans, params, eps_rho, eps_theta, sizes=sizes)[0].votes[0]
+
+    def neutral(eps_rho, temperature):
+        params = neutrosophic.NeutrosophicParams(eps_rho_m=eps_rho)
+        return neutrosophic.soft_estimate(scans, params, temperature, sizes=sizes)[0].votes[0]
+
+    for vote in (strongest, neutral):
+        for at in ((0.0, 0.0), (0.0, 0.05), (-20.0, 0.05)):
+            value, slopes = jax.jit(jax.value_and_grad(vote, (0, 1)))(*at)
+            assert np.isfinite(value)
+            assert np.isfinite(slopes).all()
+    with pytest.raises(ValueError, match=r"eps_rho_m: got 0\.0, want a positive"):
+        strongest(0.0, 0.01)
+    with pytest.raises(ValueError, match=r"temperature: got -1\.0, want a positive"):
+        neutral(20.0, -1.0)

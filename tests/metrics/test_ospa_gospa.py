@@ -235,3 +235,15 @@ def test_errors_name_the_argument(metric):
         metric(points, mask, points, mask, cutoff=jnp.ones(2), order=2.0)
     with pytest.raises(TypeError, match="order"):
         metric(points, mask, points, mask, cutoff=1.0, order="two")
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("cutoff", 0.0), ("cutoff", -5.0), ("cutoff", np.inf), ("order", 0.5), ("order", np.inf)],
+)
+def test_known_cutoffs_and_orders_out_of_range_are_refused(option, value):
+    points, mask = jnp.zeros((1, 2)), jnp.ones(1, bool)
+    with pytest.raises(ValueError, match=f"{option}: got .*, want a"):
+        METRICS["ospa"][0](
+            points, mask, points, mask, **{"cutoff": 5.0, "order": 2.0, option: value}
+        )

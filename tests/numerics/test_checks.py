@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from jaxtrack.numerics import check_array, check_choice, check_size
+from jaxtrack.numerics.checks import check_positive, check_scans
+from jaxtrack.types import Scan
 
 
 @pytest.mark.parametrize(
@@ -79,3 +81,33 @@ def test_choices():
     assert check_choice("landing", "spread", ("own_cell", "spread")) == "spread"
     with pytest.raises(ValueError, match="landing: got 'near', want one of own_cell, spread"):
         check_choice("landing", "near", ("own_cell", "spread"))
+
+
+def test_positive_numbers_are_kept_and_others_refused_or_raised():
+    assert float(check_positive("eps", 2.5, jnp.float64)) == 2.5
+    for wrong in (0.0, -1.0, float("nan"), np.array([1.0, 0.0])):
+        with pytest.raises(ValueError, match=r"eps: got .*, want a positive number"):
+            check_positive("eps", wrong, jnp.float64)
+    raised = jax.jit(lambda x: check_positive("eps", x, jnp.float64))
+    for wrong in (0.0, -1.0):
+        assert float(raised(wrong)) == np.finfo(np.float64).eps
+        assert float(jax.jit(jax.grad(lambda x: check_positive("eps", x, jnp.float64)))(wrong)) == 0
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("position_m", np.zeros((3, 2)), "position_m: got shape"),
+        ("position_m", np.zeros((3, 4, 2), int), "want floating numbers"),
+        ("position_m", np.zeros((3, 0, 2)), "places for detections: got 0"),
+        ("mask", np.ones((3, 5), bool), r"mask: got shape \[3, 5\], want \[3, 4\]"),
+        ("time_s", np.zeros(2), "time_s: got shape"),
+        ("covariance_m2", np.zeros((3, 4, 2)), "covariance_m2: got shape"),
+        ("weight", np.zeros(4), "weight: got shape"),
+    ],
+)
+def test_fields_of_looks_that_do_not_fit_are_named(field, value, message):
+    scans = Scan(np.zeros(3), np.ones(3, bool), np.zeros((3, 4, 2)), np.ones((3, 4), bool))
+    check_scans(scans)
+    with pytest.raises((TypeError, ValueError), match=message):
+        check_scans(scans._replace(**{field: value}))

@@ -87,13 +87,14 @@ def csht(detections, p, grid_n, grid_e, *, slots, rounds, updates, iterations):
     """Return [(n0, e0, v_n, v_e)] of the targets, in the order of the slots: algorithm 1."""
     votes = hard_votes([(t, n, w) for t, n, _, w in detections], grid_n)
     cells = cells_above(votes, p["lambda"], grid_n)
-    samples = [(p["v_scale"] * v, n0) for v, n0, _ in cells]
+    samples = [(p["v_scale"] * v, n0 + p["tau"] * v) for v, n0, _ in cells]
     weights = [c[2] for c in cells]
     start = farthest_first(samples, weights, p["k0"]) + [None] * (slots - p["k0"])
     centres = fuzzy.isodata(
         samples, weights, start, p, rounds=rounds, updates=updates, iterations=iterations
     )
-    lines = [(z[0] / p["v_scale"], z[1]) for z in centres if z is not None]
+    found = [(z[0] / p["v_scale"], z[1]) for z in centres if z is not None]
+    lines = [(v, n_tau - p["tau"] * v) for v, n_tau in found]
     groups = [[] for _ in lines]
     for t, n, e, w in detections:
         if lines:

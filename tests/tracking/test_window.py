@@ -170,3 +170,14 @@ def test_too_many_distant_pairs_are_sought_farther_apart(monkeypatch):
     tight, notes = choose_sizes(*args, method="joint", tracks=4)
     assert tight.gap > 4  # pyright: ignore
     assert notes == ()
+
+
+def test_broken_recordings_are_refused():
+    scans = two_targets()
+    position = np.asarray(scans.position_m).copy()
+    position[1, 0, 1] = np.nan
+    with pytest.raises(ValueError, match=r"position_m: got .* at \[1, 0\], want finite"):
+        initiate_window(scans._replace(position_m=position))  # pyright: ignore
+    back = np.asarray(scans.time_s)[::-1]
+    with pytest.raises(ValueError, match=r"time_s: got .* do not run back"):
+        initiate_window(scans._replace(time_s=back))  # pyright: ignore
