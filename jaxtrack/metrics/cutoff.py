@@ -7,9 +7,9 @@ so that neither large distances nor high orders overflow in float32.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from jaxtrack.numerics.checks import check_array
 from jaxtrack.numerics.safe import safe_norm
@@ -106,5 +106,5 @@ def _fill(points: Array, mask: Array) -> tuple[Array, Array]:
 
 def _check_known(name: str, value: Any, fits: Callable[[Any], bool], want: str) -> None:
     """Refuse a value that is known and does not fit; a traced one is taken as it is."""
-    if not isinstance(value, jax.core.Tracer) and not fits(np.asarray(value)):
+    if not isinstance(value, Tracer) and not fits(np.asarray(value)):
         raise ValueError(f"{name}: got {value}, want {want}")

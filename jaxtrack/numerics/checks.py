@@ -6,9 +6,9 @@ They look at shapes, dtypes and known values only, so they cost nothing in compi
 import operator
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from jaxtrack.types import Array, Scan
 
@@ -96,7 +96,7 @@ def check_positive(name: str, value: Any, dtype: Any) -> Array:
         >>> print(check_positive("eps_rho_m", 20.0, jnp.float32))
         20.0
     """
-    if not isinstance(value, jax.core.Tracer) and not (np.asarray(value) > 0).all():
+    if not isinstance(value, Tracer) and not (np.asarray(value) > 0).all():
         raise ValueError(f"{name}: got {value}, want a positive number")
     value, least = jnp.asarray(value, dtype), jnp.asarray(jnp.finfo(dtype).eps, dtype)
     return jnp.where(value > least, value, least)

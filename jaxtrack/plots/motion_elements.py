@@ -29,6 +29,13 @@ def coordinate_over_time(
         name: what the coordinate is called.
         title: of the figure.
 
+    Example:
+        >>> scan = Scan(np.zeros(1), np.ones(1, bool), np.zeros((1, 1, 2)), np.ones((1, 1), bool))
+        >>> truth = Truth(np.zeros(1), np.zeros((1, 1, 4)), np.ones((1, 1), bool))
+        >>> figure = coordinate_over_time(scan, truth, {"CSHT": [[0.0, 1.0]]})
+        >>> figure.axes[0].get_ylabel()
+        'north, m'
+
     Source: clustering-statistic Hough transform (2018), figures 8, 10 and 12 to 15.
     """
     mask = np.asarray(scans.mask) & np.asarray(scans.valid)[:, None]
@@ -91,6 +98,11 @@ def vote_plane(
         samples: [C, 2] cells that were clustered, likewise.
         title: of the figure.
 
+    Example:
+        >>> figure = vote_plane(np.eye(3), [-1.0, 0.0, 1.0], [0.0, 4.0, 8.0], truth=[[0.0, 4.0]])
+        >>> figure.axes[0].get_xlabel()
+        'velocity, m/s'
+
     Source: clustering-statistic Hough transform (2018), figures 9 and 11.
     """
     votes = np.asarray(votes, np.float64)
@@ -137,6 +149,12 @@ def error_curves(
         y_label: the error and its unit.
         paper: by panel, by method: conditions and the paper's figures, drawn hollow.
         title: of the figure.
+
+    Example:
+        >>> curve = ([0.1, 0.3], [1.0, 1.2], [0.1, 0.1])
+        >>> figure = error_curves({"": {"joint": curve}}, x_label="P_F", y_label="OSPA, m")
+        >>> figure.axes[0].get_yscale()
+        'log'
 
     Source: clustering-statistic Hough transform (2018), figures 16 to 19.
     """

@@ -34,8 +34,8 @@ KNOWN = ("floor", "least squares")  # they are told which detection is whose
 # The paper's one-coordinate vote sees positions; what does not fit a look is left out and counted.
 _POSITIONS = {"per_beam": 90, "per_scan": 8}
 _SIZES = {
-    "per_beam": joint.JointSizes(hypotheses=10240, gap=13, survivors=4096, samples=256),
-    "per_scan": joint.JointSizes(hypotheses=2048, gap=10, samples=256),
+    "per_beam": joint.JointSizes(5, 16384, gap=10, survivors=4096, samples=256),
+    "per_scan": joint.JointSizes(5, 4096, gap=10, samples=256),
 }
 
 
