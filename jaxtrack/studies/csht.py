@@ -43,6 +43,7 @@ from jaxtrack.types import Key
 
 FALSE_PER_RUN = 0.02  # tracks of the joint vote in a window without targets
 SCENES, SHIPPED_SCENES = 1000, 200  # windows without targets that a gate comes from
+LEAST_GATE = 5.0  # nats: where next to nothing is false, what targets leave behind is no track
 DERIVE_FROM = 500  # trials; shorter runs take the gates that are shipped
 _GATES, _TABLE_2, _GENERATED = range(3)  # streams of random keys
 MOST_TARGETS = 5  # of generated scenes
@@ -135,7 +136,8 @@ def derive_gates(context: Context, scenes: int = SCENES) -> dict[str, list[float
             find = search(variant.false_alarms)
             found = monte_carlo(find, key, scenes, empty, micro_batch=1).values
             score, mask = (jnp.asarray(x) for x in found)
-            gates[name].append(round(float(gate_for_false_rate(score, mask, FALSE_PER_RUN)), 3))
+            gate = float(gate_for_false_rate(score, mask, FALSE_PER_RUN))
+            gates[name].append(round(max(gate, LEAST_GATE), 3))
             context.progress(f"gates, {name}", done, len(CELLS))
     return gates
 
