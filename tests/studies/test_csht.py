@@ -1,0 +1,105 @@
+import numpy as np
+import pytest
+import xarray as xr
+
+from jaxtrack.studies import csht, csht_paper, csht_report, tables
+from jaxtrack.studies.csht_trial import KNOWN, METHODS
+
+
+def made_up(cells, share_right=1.0, joint=1.05, trials=200):
+    """Errors of 1 at the floor and of `joint` of the joint vote, right in a share of the runs."""
+    names = (*METHODS, *KNOWN)
+    shape = (len(cells), trials, len(names))
+    errors = np.broadcast_to([20.0, 2.5, joint, 1.0, 1.1], shape).copy()
+    count = np.full(shape, 3)
+    count[:, round(share_right * trials) :, names.index("joint")] = 4
+    dims = ("cell", "trial", "estimator")
+    rates = {name: ("cell", [getattr(cell, name) for cell in cells]) for name in csht.Rates._fields}
+    return xr.Dataset(
+        {
+            "velocity_ospa": (dims, errors),
+            "position_ospa": (dims, errors),
+            "count": (dims, count),
+            "targets": (dims[:2], np.full(shape[:2], 3)),
+            "passes_at_truth": (dims[:2], np.ones(shape[:2], bool)),
+        },
+        coords={"estimator": list(names), **rates},
+    )
+
+
+def verdicts(**options):
+    table = made_up(csht.CELLS, **options)
+    variant = xr.Variable("variant", list(csht.VARIANTS))
+    table_2 = xr.concat([table] * len(csht.VARIANTS), variant)
+    rows = csht_report.marks(table_2, made_up(csht.GENERATED, **options))
+    return {row.what: tables.verdict(row.ours, row.mark) for row in rows}
+
+
+def test_good_figures_pass_and_few_say_smoke():
+    good = verdicts()
+    marked = {word for word in good.values() if word}
+    assert marked == {"pass"}
+    assert {word for word in verdicts(trials=19).values() if word} == {"smoke"}
+
+
+def test_a_wrong_number_of_targets_fails_where_a_mark_stands():
+    failed = {name for name, word in verdicts(share_right=0.8).items() if word == "fails"}
+    assert all("number right" in name for name in failed)
+    assert "P_M .3, P_F .3, σ 3 m: joint, number right" in failed
+    assert "generated, P_M .3, P_F .7, σ 3 m: joint, number right" in failed
+    assert not any("P_M .7" in name for name in failed)
+
+
+def test_errors_above_the_bound_and_below_the_floor_fail():
+    high = {name for name, word in verdicts(joint=1.2).items() if word == "fails"}
+    assert "P_M .3, P_F .3, σ 3 m: joint, position / floor" in high
+    assert "P_M .3, P_F .3, σ 5 m: joint, position / floor" not in high  # there 1.25 is asked
+    low = {name for name, word in verdicts(joint=0.9).items() if word == "fails"}
+    assert low
+    assert all("not below the floor" in name for name in low)
+
+
+def test_tables_hold_every_cell():
+    made = csht_report.errors(made_up(csht.CELLS), "made up")
+    assert [table.row_count for table in made] == [len(csht.CELLS)] * 3
+
+
+def test_gates_are_shipped_for_every_cell():
+    gates = csht.shipped_gates()
+    assert list(gates) == list(csht.VARIANTS)
+    for table in gates.values():
+        assert len(table) == len(csht.CELLS)
+        assert min(table) >= csht.LEAST_GATE
+
+
+def test_the_papers_tables_are_whole():
+    for table in (csht_paper.VELOCITY_BY_RATES, csht_paper.POSITION_BY_RATES):
+        assert all(rows.shape == (4, 4) for rows in table.values())
+    # Where tables 3 and 5, and 4 and 6, show the same cell they agree.
+    for rates, sigma in (
+        (csht_paper.VELOCITY_BY_RATES, csht_paper.VELOCITY_BY_SIGMA),
+        (csht_paper.POSITION_BY_RATES, csht_paper.POSITION_BY_SIGMA),
+    ):
+        for method in ("CSHT", "SHT"):
+            assert rates[method][1, 1] == sigma[method][2]
+
+
+def test_medians_and_quotients_carry_95_percent():
+    rng = np.random.default_rng(0)
+    hits = [
+        figure.lower <= 0.0 <= figure.upper
+        for figure in (csht_report.median(rng.normal(size=60), "m") for _ in range(400))
+    ]
+    assert 0.91 < np.mean(hits) < 0.99
+    ours, theirs = rng.normal(2.0, 0.5, 4000), rng.normal(1.0, 0.1, 4000)
+    figure = tables.quotient(ours, theirs)
+    assert figure.lower < 2.0 < figure.upper
+    assert figure.upper - figure.lower < 0.05
+    assert np.isnan(tables.quotient(np.zeros(0), np.zeros(0)).value)
+    assert csht_report.median(np.zeros(0), "m").trials == 0
+
+
+def test_cells_are_named():
+    assert csht_report.cell_name(0.1, 0.7, 3.0) == "P_M .1, P_F .7, σ 3 m"
+    assert csht.CELLS[0] == pytest.approx((0.1, 0.1, 3.0))
+    assert len(csht.CELLS) == 20
