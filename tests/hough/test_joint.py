@@ -78,7 +78,7 @@ def with_holes(scan, seed, *, lost=True):
 
 
 def oracle_score(state, scan, params):
-    return oracle.score(np.asarray(state), float(scan.time_s[-1]), scan, *params.sensor)
+    return oracle.score(np.asarray(state), float(scan.time_s[-1]), scan, *params.sensor[:3])
 
 
 def regression(scan, target=0):
@@ -151,7 +151,7 @@ def test_the_best_track_is_no_worse_than_the_best_of_all_pairs(covariance):
         scan = with_holes(random_scene(seed, covariance=covariance), seed, lost=seed % 2 == 0)
         tracks, info = all_starts(scan, params)
         best = oracle.best_pair_hypothesis(
-            scan, *params.sensor, SPEED.v_min_m_s, SPEED.v_max_m_s, GAP
+            scan, *params.sensor[:3], SPEED.v_min_m_s, SPEED.v_max_m_s, GAP
         )
         assert not info.overflow
         if best is None or best.score <= 0.0:
