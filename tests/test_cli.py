@@ -62,6 +62,7 @@ def test_initiate_writes_tracks_table_and_figure(run):
     assert len(figure) > 20_000
 
 
+@pytest.mark.slow
 def test_exactly_three_tracks_at_a_rare_false_track(run):
     code, _, _ = run("initiate", EXAMPLE, "--sigma-m", "50", "--false-per-run", "0.05")
     assert code == 0
@@ -316,6 +317,7 @@ def test_the_input_is_not_overwritten_and_folders_are_no_files(run, tmp_path):
         assert "want the name of a file" in err
 
 
+@pytest.mark.slow
 def test_the_process_uses_every_core_and_float32(tmp_path):
     program = (
         "import os, sys, jax\n"

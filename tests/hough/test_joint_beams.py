@@ -103,6 +103,7 @@ def test_degenerate_looks_give_no_nan(name):
         assert not tracks.mask.any()
 
 
+@pytest.mark.slow
 def test_slopes_are_those_of_differences():
     # The samples stand still in the gradient and move with the search in a difference, so the two
     # agree as far as the samples are many, and no further.

@@ -32,7 +32,14 @@ def two_targets(looks: int = 5) -> Scan:
     return Scan(time_s, np.ones(looks, bool), np.stack([x, y], -1), mask)  # pyright: ignore
 
 
-@pytest.mark.parametrize("method", ["joint", "neutrosophic", "improved"])
+@pytest.mark.parametrize(
+    "method",
+    [
+        "joint",
+        pytest.param("neutrosophic", marks=pytest.mark.slow),
+        pytest.param("improved", marks=pytest.mark.slow),
+    ],
+)
 def test_finds_the_three_targets_of_the_radar(recording, method):
     tracks, info, gate = initiate_window(recording.scans, method=method, **FIELD)
     found = np.asarray(tracks.mean)[np.asarray(tracks.mask)]
@@ -43,6 +50,7 @@ def test_finds_the_three_targets_of_the_radar(recording, method):
     assert info.notes == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["modified", "standard"])
 def test_methods_without_a_speed_gate_run_on_few_detections(method):
     tracks, info, gate = initiate_window(two_targets(), method=method, false_per_run=1.0)
@@ -81,6 +89,7 @@ def test_the_seed_decides_the_gate_and_progress_is_told(recording):
     assert seen[-1] == (20, 20)
 
 
+@pytest.mark.slow
 def test_weights_covariances_and_delays_of_a_recording_are_used():
     scans = two_targets()
     shape = scans.mask.shape
