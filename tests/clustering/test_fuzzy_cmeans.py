@@ -13,6 +13,8 @@ from jaxtrack.clustering import fuzzy_cmeans, memberships, update
 from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import fuzzy
 
+pytestmark = pytest.mark.slow  # compiles for minutes where nothing is cached
+
 SHAPES = ((7, 3), (1, 2), (3, 5))  # N samples, K slots
 several = settings(max_examples=120, deadline=None, derandomize=True, database=None)
 cluster = jax.jit(fuzzy_cmeans, static_argnames="iterations")

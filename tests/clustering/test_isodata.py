@@ -24,6 +24,8 @@ from jaxtrack.clustering import (
 from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import csht, fuzzy
 
+pytestmark = pytest.mark.slow  # compiles for minutes where nothing is cached
+
 SHAPES = ((12, 6), (1, 3), (4, 7))  # N samples, K slots
 SIZES = IsodataSizes(rounds=5, updates=2, iterations=3)
 several = settings(max_examples=200, deadline=None, derandomize=True, database=None)

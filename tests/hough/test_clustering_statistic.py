@@ -22,6 +22,8 @@ from tests.hough.beam_looks import TABLE_2, beam_looks
 from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import csht
 
+pytestmark = pytest.mark.slow  # compiles for minutes where nothing is cached
+
 GRID_X, GRID_Y = LineGrid(-5.0, 0.25, -40.0, 4.0), LineGrid(-6.0, 0.3, -30.0, 5.0)
 CELLS_X, CELLS_Y = (-5.0, 41, 0.25, -40.0, 40, 4.0), (-6.0, 41, 0.3, -30.0, 40, 5.0)
 PARAMS = ClusteringParams(

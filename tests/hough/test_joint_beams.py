@@ -15,6 +15,8 @@ from jaxtrack.types import BeamScan, Pose
 from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import beam_joint as oracle
 
+pytestmark = pytest.mark.slow  # compiles for minutes where nothing is cached
+
 LOOKS, COUNT = 12, 30
 SONAR = BeamSonar(p_miss=0.1, p_false=0.1, sigma_m=2.0)
 SPEED = SpeedGate(0.5, 6.0)

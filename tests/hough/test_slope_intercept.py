@@ -19,6 +19,8 @@ from jaxtrack.types import Scan
 from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import csht
 
+pytestmark = pytest.mark.slow  # compiles for minutes where nothing is cached
+
 GRID = LineGrid(-3.0, 0.5, -10.0, 4.0)
 SIZES = LineSizes(velocities=13, positions=11, fine=4)
 CELLS = (-3.0, 13, 0.5, -10.0, 11, 4.0)

@@ -19,6 +19,8 @@ from jaxtrack.types import BeamScan, Pose
 from tests.oracles import beam_floor as oracle
 from tests.oracles.beam_joint import score, seen_from_sonar
 
+pytestmark = pytest.mark.slow  # compiles for minutes where nothing is cached
+
 COUNT = 12  # beams of 7.5°: wide, so that the beams' edges matter
 SONAR = BeamSonar(p_miss=0.3, sigma_m=3.0, mount_m=(1.0, 0.5))
 SPEED = (0.5, 6.0)

@@ -13,6 +13,8 @@ from jaxtrack.types import BeamScan, Pose
 from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import beam_joint as oracle
 
+pytestmark = pytest.mark.slow  # compiles for minutes where nothing is cached
+
 LOOKS, COUNT = 5, 9
 OTHER = 0.03  # another target answers
 score = jax.jit(BEAMS.scores)
