@@ -99,6 +99,7 @@ def estimate(
         >>> scans = Scan(2.0 * jnp.arange(5.0), jnp.ones(5, bool),
         ...              jnp.stack([400.0 * jnp.arange(5.0), jnp.full(5, 80.0)], -1)[:, None],
         ...              jnp.ones((5, 1), bool))
+        >>> from jaxtrack.models import PositionSensor
         >>> sensor = PositionSensor(p_detect=0.99, clutter_per_m2=1e-5, sigma_m=10.0)
         >>> run = jax.jit(lambda *at: estimate(*at, sizes=JointSizes(hypotheses=64)))
         >>> tracks, info = run(scans, JointParams(sensor))

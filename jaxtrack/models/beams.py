@@ -79,7 +79,7 @@ def beam_log_likelihood_ratio(state: Array, scan: BeamScan, params: BeamSensor) 
         ...                 jnp.arange(9) == 4, Pose(jnp.zeros(2), jnp.array(0.0)))
         >>> state = jnp.array([50.0, 0.0, 0.0, 0.0])
         >>> print(f"{beam_log_likelihood_ratio(state, scan, BeamSensor()):.2f}")
-        3.84
+        3.82
 
     Source: the statistic of maximum-likelihood track-before-detect; see `docs/design.md`.
     """
@@ -102,7 +102,8 @@ def beam_responsibility(state: Array, scan: BeamScan, params: BeamSensor) -> Arr
         >>> from jaxtrack.types import Pose
         >>> scan = BeamScan(jnp.array(0.0), jnp.array(True), jnp.full(9, 50.0),
         ...                 jnp.arange(9) == 4, Pose(jnp.zeros(2), jnp.array(0.0)))
-        >>> print(beam_responsibility(jnp.array([50.0, 0.0, 0.0, 0.0]), scan, BeamSensor())[3:6])
+        >>> claims = beam_responsibility(jnp.array([50.0, 0.0, 0.0, 0.0]), scan, BeamSensor())
+        >>> print(claims[3:6].round(2))
         [0. 1. 0.]
     """
     place = _place(state[0], state[1], scan, params)
@@ -131,7 +132,7 @@ def beam_scores(states: Array, scans: BeamScan, params: BeamSensor) -> Array:
         >>> scans = BeamScan(jnp.zeros(1), jnp.ones(1, bool), jnp.full((1, 9), 50.0),
         ...                  jnp.arange(9)[None] == 4, Pose(jnp.zeros((1, 2)), jnp.zeros(1)))
         >>> print(beam_scores(jnp.array([[50.0, 0.0, 0.0, 0.0]]), scans, BeamSensor()).round(2))
-        [3.84]
+        [3.82]
     """
     x, y, vx, vy = states.T
     scans = scans._replace(time_s=look_times(scans)[0])

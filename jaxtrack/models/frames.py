@@ -26,7 +26,7 @@ def polar_to_earth(
 
     Example:
         >>> pose = Pose(jnp.array([100.0, 50.0]), jnp.array(jnp.pi / 2))
-        >>> print(polar_to_earth(jnp.array(10.0), jnp.array(0.0), pose, (2.0, 0.0)).round(3))
+        >>> print(polar_to_earth(jnp.array(10.0), jnp.array(0.0), pose, (2.0, 0.0)).round())
         [100.  62.]
 
     Source: clustering-statistic Hough transform (2018), equations 1–3.
