@@ -31,7 +31,7 @@ SPEED = SpeedGate(0.0, 6.0)  # what estimators and floor assume of a target's sp
 METHODS = ("SHT", "CSHT", "joint")
 KNOWN = ("floor", "least squares")  # they are told which detection is whose
 
-# The paper's one-coordinate vote sees positions; what does not fit a look is left out and counted.
+# The paper's one-coordinate vote sees positions; these places hold all that a look can have.
 _POSITIONS = {"per_beam": 90, "per_scan": 8}
 _SIZES = {
     "per_beam": joint.JointSizes(5, 16384, gap=10, survivors=4096, samples=256),
