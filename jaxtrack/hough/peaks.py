@@ -79,13 +79,16 @@ def extract(
 
     _, (picked, found) = jax.lax.scan(pick, jax.lax.stop_gradient(value), length=sizes.lines)
 
-    def refine(rho: Array, theta: Array) -> tuple[Array, Array]:
-        near = jnp.where(votes.mask, votes.weight * kernel.nearby(rho, theta, votes), 0.0)
+    prepared = kernel.prepare(votes)
+
+    def refine(at: tuple[Array, Array]) -> tuple[Array, Array]:
+        rho, theta = at
+        near = jnp.where(votes.mask, votes.weight * kernel.nearby(rho, theta, prepared), 0.0)
         d_rho, d_theta = line_difference(rho, theta, votes.rho_m, votes.theta_rad)
         shift = lambda d: safe_divide((near * jnp.where(votes.mask, d, 0.0)).sum(), near.sum())
         return wrap_line(rho - shift(d_rho), theta - shift(d_theta))
 
-    rho, theta = jax.vmap(refine)(rho[picked], theta[picked])
+    rho, theta = jax.lax.map(refine, (rho[picked], theta[picked]))
     return _lines(rho, theta, value[picked], found, grid, peaks)
 
 

@@ -7,7 +7,7 @@ evaluated where they are asked for: the dense accumulator exists for pictures.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,16 +31,22 @@ class Votes(NamedTuple):
     mask: Array  # [Q]
 
 
+Cells = tuple[Array, Array, Array]
+"""Cell indices (i, j), or distances in cells, and what lies in the grid."""
+
+
 class VoteKernel(NamedTuple):
     """How votes count at a query (ρ, θ).
 
-    `similarity(rho, theta, votes) -> [Q]` is how much of each vote counts; `nearby(...) -> [Q]`
+    `prepare(votes)` is what the other two need of the votes, whatever the query.
+    `similarity(rho, theta, prepared) -> [Q]` is how much of each vote counts; `nearby(...) -> [Q]`
     is how much each vote says about the peak's place between the cells. Farther than `reach` a
     vote counts for (next to) nothing.
     """
 
-    similarity: Callable[[Array, Array, Votes], Array]
-    nearby: Callable[[Array, Array, Votes], Array]
+    prepare: Callable[[Votes], Any]
+    similarity: Callable[[Array, Array, Any], Array]
+    nearby: Callable[[Array, Array, Any], Array]
     reach_rho_m: Array
     reach_theta_rad: Array
 
@@ -70,27 +76,30 @@ def hard(grid: Grid, sizes: Sizes, dtype: jnp.dtype) -> VoteKernel:
     profile = np.exp(-(np.arange(reach + 1) ** 2) / (2 * max(sizes.smooth, 1) ** 2))
     profile /= profile[0] + 2 * profile[1:].sum()
 
-    def cells_apart(rho: Array, theta: Array, votes: Votes) -> tuple[Array, Array, Array]:
-        i, j, inside = cell_of(rho, theta, grid, sizes)
-        other_i, other_j, other_inside = cell_of(votes.rho_m, votes.theta_rad, grid, sizes)
-        d_i, d_j = cell_difference(i, j, other_i, other_j, sizes)
-        return jnp.abs(d_i), jnp.abs(d_j), inside & other_inside
+    def prepare(votes: Votes) -> Cells:
+        return cell_of(votes.rho_m, votes.theta_rad, grid, sizes)
 
-    def similarity(rho: Array, theta: Array, votes: Votes) -> Array:
-        d_i, d_j, inside = cells_apart(rho, theta, votes)
+    def cells_apart(rho: Array, theta: Array, cells: Cells) -> Cells:
+        i, j, inside = cell_of(rho, theta, grid, sizes)
+        d_i, d_j = cell_difference(i, j, *cells[:2], sizes)
+        return jnp.abs(d_i), jnp.abs(d_j), inside & cells[2]
+
+    def similarity(rho: Array, theta: Array, cells: Cells) -> Array:
         if reach == 0:
-            return (inside & (d_i == 0) & (d_j == 0)).astype(dtype)
+            i, j, inside = cell_of(rho, theta, grid, sizes)
+            return (inside & cells[2] & (i == cells[0]) & (j == cells[1])).astype(dtype)
+        d_i, d_j, inside = cells_apart(rho, theta, cells)
         spread = jnp.asarray(2.0 * sizes.smooth**2, dtype)
         squared = (d_i * d_i + d_j * d_j).astype(dtype)
         within = inside & (d_i <= reach) & (d_j <= reach)
         return jnp.where(within, float(profile[0] ** 2) * jnp.exp(-squared / spread), 0.0)
 
-    def nearby(rho: Array, theta: Array, votes: Votes) -> Array:
-        d_i, d_j, inside = cells_apart(rho, theta, votes)
+    def nearby(rho: Array, theta: Array, cells: Cells) -> Array:
+        d_i, d_j, inside = cells_apart(rho, theta, cells)
         return (inside & (d_i <= max(reach, 1)) & (d_j <= max(reach, 1))).astype(dtype)
 
     rho_step, theta_step = steps(grid, sizes, dtype)
-    return VoteKernel(similarity, nearby, (reach + 1) * rho_step, (reach + 1) * theta_step)
+    return VoteKernel(prepare, similarity, nearby, (reach + 1) * rho_step, (reach + 1) * theta_step)
 
 
 def soft(
@@ -129,7 +138,8 @@ def soft(
 
     similarity: Callable[..., Array] = lambda *at: block_mass(*at, cells=1.0)
     nearby: Callable[..., Array] = lambda *at: block_mass(*at, cells=3.0)
-    return VoteKernel(similarity, nearby, rho_step + 3 * eps_rho_m, theta_step + 3 * eps_theta_rad)
+    reach = rho_step + 3 * eps_rho_m, theta_step + 3 * eps_theta_rad
+    return VoteKernel(_as_they_are, similarity, nearby, *reach)
 
 
 def gaussian(eps_rho_m: Array, eps_theta_rad: Array) -> VoteKernel:
@@ -154,7 +164,7 @@ def gaussian(eps_rho_m: Array, eps_theta_rad: Array) -> VoteKernel:
         d_rho, d_theta = line_difference(rho, theta, votes.rho_m, votes.theta_rad)
         return _gaussian(d_rho, eps_rho_m, d_theta, eps_theta_rad)
 
-    return VoteKernel(similarity, similarity, 3 * eps_rho_m, 3 * eps_theta_rad)
+    return VoteKernel(_as_they_are, similarity, similarity, 3 * eps_rho_m, 3 * eps_theta_rad)
 
 
 def scaled_gaussian(scale: Array, mask: Array) -> VoteKernel:
@@ -182,7 +192,7 @@ def scaled_gaussian(scale: Array, mask: Array) -> VoteKernel:
         3 * jax.lax.stop_gradient(typical(variance)) for variance in (scale[:, 0], scale[:, 2])
     ]
     tiny = jnp.asarray(jnp.finfo(scale.dtype).eps, scale.dtype)
-    return VoteKernel(similarity, similarity, *(x + tiny for x in reach))
+    return VoteKernel(_as_they_are, similarity, similarity, *(x + tiny for x in reach))
 
 
 def correlated_gaussian(d_rho: Array, d_theta: Array, scale: Array) -> Array:
@@ -203,8 +213,15 @@ def correlated_gaussian(d_rho: Array, d_theta: Array, scale: Array) -> Array:
 def evaluate(rho_m: Array, theta_rad: Array, votes: Votes, kernel: VoteKernel) -> Array:
     """Return the value of the accumulation at queries [C]: Σ_q w_q · similarity."""
     clean = _clean(votes)
-    count = lambda rho, theta: (clean.weight * kernel.similarity(rho, theta, clean)).sum()
-    return jax.vmap(count)(rho_m, theta_rad)
+    prepared = kernel.prepare(clean)
+
+    def count(at: tuple[Array, Array]) -> Array:
+        rho, theta = at
+        return (clean.weight * kernel.similarity(rho, theta, prepared)).sum()
+
+    # A loop, for its operands stand in memory: in one product of queries and votes XLA computes
+    # every vote anew, pairs and all, for every query.
+    return jax.lax.map(count, (rho_m, theta_rad))
 
 
 def accumulate(votes: Votes, grid: Grid, *, sizes: Sizes) -> Array:
@@ -265,6 +282,10 @@ def interval_mass(distance: Array, width: Array, sigma: Array) -> Array:
 
 def _gaussian(d_rho: Array, eps_rho: Array, d_theta: Array, eps_theta: Array) -> Array:
     return jnp.exp(-((d_rho / eps_rho) ** 2 + (d_theta / eps_theta) ** 2) / 2)
+
+
+def _as_they_are(votes: Votes) -> Votes:
+    return votes
 
 
 def _clean(votes: Votes) -> Votes:
