@@ -26,7 +26,7 @@ from jaxtrack.sensors import (
     motion_elements_scene,
     random_sonar_scene,
 )
-from jaxtrack.studies import csht_figures, csht_report, store
+from jaxtrack.studies import csht_figures, csht_report, parts, store
 from jaxtrack.studies.csht_paper import RATES, SIGMAS_M
 from jaxtrack.studies.csht_trial import (
     KNOWN,
@@ -84,13 +84,13 @@ def run(context: Context) -> None:
     """Run everything, print the tables, save results and figures."""
     say = context.console.print
     gates = derive_gates(context) if context.trials >= DERIVE_FROM else shipped_gates()
-    parts = []
+    variants = []
     for place, name in enumerate(VARIANTS):
         key = _key(context, _TABLE_2, place)
         scenes = [motion_elements_scene()._replace(sonar=_sonar(name, cell)) for cell in CELLS]
-        parts.append(_part(context, key, name, CELLS, scenes, gates[name]))
+        variants.append(_part(context, key, name, CELLS, scenes, gates[name]))
     variant = xr.Variable("variant", list(VARIANTS))
-    table_2: xr.Dataset = xr.concat(parts, variant)  # pyright: ignore[reportAssignmentType]
+    table_2: xr.Dataset = xr.concat(variants, variant)  # pyright: ignore[reportAssignmentType]
     literal = dict(zip(CELLS, gates["literal"], strict=True))
     key = _key(context, _GENERATED)
     # A smoke run leaves these out: they are a program of their own to compile.
@@ -124,6 +124,7 @@ def run(context: Context) -> None:
     store.save(context.out, {"table_2": table_2, "generated": generated}, summary)
     report = functools.partial(context.progress, "figures")
     csht_figures.draw(context.out, table_2, _key(context), report)
+    parts.forget_parts(context)
 
 
 def derive_gates(context: Context, scenes: int = SCENES) -> dict[str, list[float]]:
@@ -137,7 +138,8 @@ def derive_gates(context: Context, scenes: int = SCENES) -> dict[str, list[float
         for done, cell in enumerate(CELLS, start=1):
             empty = SonarScene(nobody, scene.pose, _sonar(name, cell))
             find = search(variant.false_alarms)
-            found = monte_carlo(find, key, scenes, empty, micro_batch=1).values
+            what = f"gates, {name}, {_words(cell)}"
+            found = parts.run_part(context, what, find, key, scenes, empty)
             score, mask = (jnp.asarray(x) for x in found)
             gate = float(gate_for_false_rate(score, mask, FALSE_PER_RUN))
             gates[name].append(round(max(gate, LEAST_GATE), 3))
@@ -178,7 +180,8 @@ def _part(
             inputs: Any = (_sonar(variant, cell), jnp.asarray(gate))
         else:
             one, inputs = trial(false_alarms), Inputs(scenes[place], jnp.asarray(gate))
-        outcomes.append(monte_carlo(one, key, context.trials, inputs, micro_batch=1).values)
+        name = f"{what}, {_words(cell)}"
+        outcomes.append(parts.run_part(context, name, one, key, context.trials, inputs))
         context.progress(what, place + 1, len(cells))
     return _dataset(cells, outcomes)
 
@@ -220,6 +223,10 @@ def _dataset(cells: Sequence[Rates], outcomes: Sequence[Outcome]) -> xr.Dataset:
     }
     rates = {name: ("cell", [getattr(c, name) for c in cells]) for name in Rates._fields}
     return xr.Dataset(table, coords={"estimator": list(names), **rates})
+
+
+def _words(cell: Rates) -> str:
+    return " ".join(f"{name} {value}" for name, value in cell._asdict().items())
 
 
 def _key(context: Context, *numbers: int) -> Key:

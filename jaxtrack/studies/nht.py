@@ -7,7 +7,6 @@ one, and the joint space–time vote look at the same scans. All settings below 
 
 import concurrent.futures
 import functools
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +17,7 @@ from jaxtrack.hough import Grid, Peaks
 from jaxtrack.models import PositionSensor
 from jaxtrack.montecarlo import monte_carlo
 from jaxtrack.sensors import Scene, crossing_targets, radar_measurements
-from jaxtrack.studies import nht_figures, nht_marks, nht_report, nht_scores, nht_times, store
+from jaxtrack.studies import nht_figures, nht_marks, nht_report, nht_scores, nht_times, parts, store
 from jaxtrack.studies.nht_scores import Cell, Gates, derive_gates
 from jaxtrack.studies.nht_trial import SHAPES, Inputs, Outcome, Shape, trial
 from jaxtrack.studies.registry import Context, Study
@@ -115,6 +114,7 @@ def run(context: Context) -> None:
     shown = {name: cells[ours] for name, ours in {**PRIMARY, "real": "real + 10 m"}.items()}
     report = functools.partial(context.progress, "figures")
     nht_figures.draw(context.out, shown, tables, report)
+    parts.forget_parts(context)
 
 
 def derive(context: Context) -> tuple[dict[str, Gates], int]:
@@ -125,9 +125,9 @@ def derive(context: Context) -> tuple[dict[str, Gates], int]:
     for place, (name, shape) in enumerate(SHAPES.items()):
         inputs = real_inputs(0.0) if name == "real" else _situation(f"IV-{name}", 0.0)
         nobody = inputs.truth._replace(mask=jnp.zeros_like(inputs.truth.mask))
-        report = functools.partial(context.progress, f"gates, clutter {name}")
+        what = f"gates, clutter {name}"
         key = _key(context, _GATES, place)
-        outcome = _run(shape, key, scenes, inputs._replace(truth=nobody), report)
+        outcome = _run(context, what, shape, key, scenes, inputs._replace(truth=nobody))
         gates[name] = derive_gates(outcome)
     return gates, scenes
 
@@ -140,9 +140,8 @@ def simulate_all(context: Context, gates: dict[str, Gates]) -> dict[str, Cell]:
         gate = gates[name]["joint", "raw"]
         recorded = situation in REAL
         inputs = real_inputs(REAL[situation], gate) if recorded else _situation(situation, gate)
-        report = functools.partial(context.progress, situation)
         key = _key(context, _TRIALS, place)
-        outcome = _run(SHAPES[name], key, context.trials, inputs, report)
+        outcome = _run(context, situation, SHAPES[name], key, context.trials, inputs)
         cells[situation] = Cell(situation, SHAPES[name], inputs, key, gates[name], outcome)
     return cells
 
@@ -175,11 +174,10 @@ def _key(context: Context, *numbers: int) -> Key:
 
 
 def _run(
-    shape: Shape, key: Key, trials: int, inputs: Inputs, report: Callable[[int, int], None] | None
+    context: Context, what: str, shape: Shape, key: Key, trials: int, inputs: Inputs
 ) -> Outcome:
-    """Run trials one by one: a batch of vote tables would leave the cache."""
-    run = monte_carlo(trial(shape), key, trials, inputs, micro_batch=1, on_progress=report)
-    return run.values
+    report = functools.partial(context.progress, what)
+    return parts.run_part(context, what, trial(shape), key, trials, inputs, report)
 
 
 def _compile(context: Context) -> None:
@@ -187,7 +185,7 @@ def _compile(context: Context) -> None:
 
     def first(name: str) -> None:
         inputs = real_inputs(0.0) if name == "real" else _situation(f"IV-{name}", 0.0)
-        _run(SHAPES[name], _key(context), 1, inputs, None)
+        monte_carlo(trial(SHAPES[name]), _key(context), 1, inputs, micro_batch=1)
 
     with concurrent.futures.ThreadPoolExecutor(len(SHAPES)) as pool:
         for done, _ in enumerate(pool.map(first, SHAPES), start=1):
