@@ -18,7 +18,7 @@ from jaxtrack.hough import (
 )
 from jaxtrack.hough.gate import gate_for_false_rate
 from jaxtrack.hough.grid import Grid, Sizes
-from jaxtrack.hough.pairs import SpeedGate
+from jaxtrack.hough.pairs import SpeedGate, pack_detections
 from jaxtrack.hough.peaks import HoughInfo, Peaks
 
 __all__ = [
@@ -33,6 +33,7 @@ __all__ = [
     "joint",
     "modified",
     "neutrosophic",
+    "pack_detections",
     "slope_intercept",
     "standard",
 ]

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxtrack.hough.pairs import SpeedGate, distant_pairs
+from jaxtrack.hough.pairs import SpeedGate, distant_pairs, pack_detections
 from jaxtrack.models.line import line_through
 from jaxtrack.models.motion import look_times, propagate
 from jaxtrack.models.observation import POSITION, Observation
@@ -122,7 +122,7 @@ def estimate(
     fixed, fixed_sensor = jax.lax.stop_gradient((scans, sensor))
     whole = jnp.asarray(fixed.weight)
 
-    found, crowded = _packed(observation.positions(fixed, fixed_sensor), sizes.detections)
+    found, crowded = pack_detections(observation.positions(fixed, fixed_sensor), sizes.detections)
     start, there, overflow = distant_pairs(
         found, params.speed, gap=sizes.gap, hypotheses=sizes.hypotheses
     )
@@ -270,26 +270,6 @@ def _along(state: Array, scans: Scan | BeamScan) -> Array:
     """Return a state of the last look at every look, [K, 4]."""
     dt, _ = look_times(scans)
     return propagate(jnp.broadcast_to(state, (dt.shape[0], *state.shape)), dt)
-
-
-def _packed(scans: Scan, detections: int | None) -> tuple[Scan, Array]:
-    """Return scans with their detections at the front of fewer places, and whether all fit."""
-    counts = scans.mask & scans.valid[:, None]
-    if scans.weight is not None:
-        counts = counts & (jnp.where(counts, scans.weight, 0.0) > 0)
-    if detections is None or detections >= counts.shape[1]:
-        return scans, jnp.asarray(False)
-    order = jnp.argsort(~counts, axis=1)[:, :detections]
-    take = lambda x: None if x is None else jax.vmap(lambda row, i: row[i])(x, order)
-    packed = scans._replace(
-        position_m=take(scans.position_m),
-        mask=take(counts),
-        covariance_m2=take(scans.covariance_m2),
-        weight=take(scans.weight),
-        delay_s=take(scans.delay_s),
-        intensity=take(scans.intensity),
-    )
-    return packed, (counts.sum(-1) > detections).any()
 
 
 def _weak_prior(speed: SpeedGate, dtype: Any) -> Array:

@@ -18,13 +18,16 @@ from jaxtrack.types import Array, Key, Scan, Tracks
 
 
 def draw(
-    out: pathlib.Path, table_2: xr.Dataset, key: Key, progress: Callable[[int, int], None]
+    out: pathlib.Path,
+    table_2: Mapping[str, xr.Dataset],
+    key: Key,
+    progress: Callable[[int, int], None],
 ) -> None:
     """Draw all figures into `out`; the windows are the first of the key, one false alarm a look.
 
     Args:
         out: folder.
-        table_2: [variant, cell, trial, estimator].
+        table_2: by model of false alarms, [cell, trial, estimator].
         key: random key of the windows shown.
         progress: (done, total).
     """
@@ -63,16 +66,15 @@ def draw(
             jobs[f"figure_{number:02}_{what}_{false_alarms}"] = functools.partial(
                 _plane, window, false_alarms, clusters=what == "clusters"
             )
-    for variant in table_2.variant.values:
-        here = table_2.sel(variant=variant)
-        name = str(variant).replace(" ", "_")
+    for variant, here in table_2.items():
+        name = variant.replace(" ", "_")
         for numbers, (field, unit) in {
             (16, 18): ("velocity_ospa", "m/s"),
             (17, 19): ("position_ospa", "m"),
         }.items():
             rates, noise = (f"figure_{n}_{field}_{name}" for n in numbers)
-            jobs[rates] = functools.partial(_by_rates, here, field, unit, str(variant))
-            jobs[noise] = functools.partial(_by_sigma, here, field, unit, str(variant))
+            jobs[rates] = functools.partial(_by_rates, here, field, unit, variant)
+            jobs[noise] = functools.partial(_by_sigma, here, field, unit, variant)
     for done, (name, job) in enumerate(sorted(jobs.items()), start=1):
         job().savefig(out / f"{name}.png", dpi=150)
         progress(done, len(jobs))

@@ -88,16 +88,18 @@ def exact(table: xr.Dataset) -> xr.DataArray:
     return table["count"] == table.targets
 
 
-def marks(table_2: xr.Dataset, generated: xr.Dataset) -> list[Row]:
+def marks(table_2: Mapping[str, xr.Dataset], generated: xr.Dataset | None) -> list[Row]:
     """Return every figure that has a mark.
 
     Args:
-        table_2: [variant, cell, trial, estimator], the paper's scene.
-        generated: [cell, trial, estimator], scenes of the generator.
+        table_2: by model of false alarms, [cell, trial, estimator], the paper's scene.
+        generated: [cell, trial, estimator], scenes of the generator that keep to its limits.
     """
-    literal = table_2.sel(variant="literal")
+    literal, one = table_2["literal"], table_2["one a scan"]
     rows: list[Row] = []
     for scene, table in (("", literal), ("generated, ", generated)):
+        if table is None:
+            continue
         for cell in range(table.sizes["cell"]):
             rows += _joint_rows(f"{scene}{_name(table, cell)}: joint", table.isel(cell=cell))
     for cell in range(literal.sizes["cell"]):
@@ -107,7 +109,6 @@ def marks(table_2: xr.Dataset, generated: xr.Dataset) -> list[Row]:
             ours = _mean(here.position_ospa.sel(estimator="joint").values, "m")
             bound = Mark(float(paper), at_least=False)
             rows.append(Row(f"{name}: joint, position, all runs", ours, paper, bound))
-    one = table_2.sel(variant="one a scan")
     at = (one.p_miss == 0.3) & (one.p_false == 0.3) & (one.sigma_m == 3.0)
     here = one.isel(cell=int(np.flatnonzero(at.values)[0]))
     right = exact(here).sel(estimator="CSHT").values

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxtrack.hough import SpeedGate, clustering_statistic, joint
+from jaxtrack.hough import SpeedGate, clustering_statistic, joint, pack_detections
 from jaxtrack.hough.slope_intercept import cell_centres, hard_votes, points_of
 from jaxtrack.metrics import (
     KnownDetections,
@@ -157,18 +157,9 @@ def _joint(
 
 
 def as_positions(scans: BeamScan, sonar: BeamSonar, detections: int) -> Scan:
-    """Return the looks as positions in the earth frame, at the front of so many places."""
+    """Return the looks as positions in the earth frame without covariances, in so many places."""
     positions = jax.vmap(scan_of_beams, (0, None))(scans, sonar)
-    if detections >= positions.mask.shape[1]:
-        return positions
-    order = jnp.argsort(~positions.mask, axis=1, stable=True)[:, :detections]
-    take = jax.vmap(lambda row, index: row[index])
-    return Scan(
-        positions.time_s,
-        positions.valid,
-        take(positions.position_m, order),
-        take(positions.mask, order),
-    )
+    return pack_detections(positions._replace(covariance_m2=None), detections)[0]
 
 
 def _known(scans: BeamScan, origin: Array, target: int) -> KnownDetections:

