@@ -33,6 +33,7 @@ lint: $(DEV) ## style, types, layers, notebooks without outputs
 
 bench: $(DEV) ## ours against NumPy and the paper's times
 	$(BIN)/python benchmarks/run.py
+	$(BIN)/python benchmarks/sonar.py
 
 notebooks: $(DEV) ## execute every notebook, leaving the files as they are
 	for book in notebooks/*.ipynb; do \

@@ -42,8 +42,10 @@ from jaxtrack.studies.tables import SMOKE_BELOW, entry, failed_table
 from jaxtrack.types import Key
 
 FALSE_PER_RUN = 0.02  # tracks of the joint vote in a window without targets
-SCENES, SHIPPED_SCENES = 1000, 200  # windows without targets that a gate comes from
-LEAST_GATE = 5.0  # nats: where next to nothing is false, what targets leave behind is no track
+SCENES, SHIPPED_SCENES = 500, 200  # windows without targets that a gate comes from
+# Nats. Where clutter alone gives next to nothing false, what targets leave behind does: with gates
+# of 5 to 7 it was 3 to 4 windows in 100 of other seeds than the study's, with 8 one or two.
+LEAST_GATE = 8.0
 DERIVE_FROM = 500  # trials; shorter runs take the gates that are shipped
 _GATES, _TABLE_2, _GENERATED = range(3)  # streams of random keys
 MOST_TARGETS = 5  # of generated scenes

@@ -119,7 +119,7 @@ def run(context: Context) -> None:
 
 def derive(context: Context) -> tuple[dict[str, Gates], int]:
     """Return the gates by table of clutter, from scenes without targets, and how many scenes."""
-    scenes = min(2 * context.trials, 4000)
+    scenes = min(2 * context.trials, 2000)
     _compile(context)
     gates = {}
     for place, (name, shape) in enumerate(SHAPES.items()):
