@@ -10,6 +10,7 @@ import os
 import pathlib
 import platform
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from importlib import metadata
 from typing import TYPE_CHECKING, Any, Literal
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from jaxtrack.tracking import WindowInfo
     from jaxtrack.types import Tracks
 
+_SAY_AFTER_S = 30.0  # without a terminal, progress is a line that often
 _EXTRAS = ("tyro", "rich", "matplotlib", "mpl_toolkits", "xarray", "zarr")
 
 
@@ -231,20 +233,35 @@ def _use_all_cores() -> None:
 
 @contextlib.contextmanager
 def _progress(console: "Console") -> Iterator[Callable[[str, int, int], None]]:
-    """Show a bar for each thing that is counted: `report(what, done, total)`."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    """Show a bar for each thing that is counted: `report(what, done, total)`.
+
+    Where no bar can be drawn, a line from time to time says that work goes on.
+    """
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         TextColumn("{task.completed}/{task.total}"),
         TimeElapsedColumn(),
+        TimeRemainingColumn(),
     )
     tasks: dict[str, Any] = {}
     quiet = not console.is_terminal
+    said = time.monotonic()
     with Progress(*columns, console=console, transient=True, disable=quiet) as bars:
 
         def report(what: str, done: int, total: int) -> None:
+            nonlocal said
+            if quiet and time.monotonic() - said > _SAY_AFTER_S:
+                said = time.monotonic()
+                console.print(f"{what}: {done} of {total}", highlight=False)
             if what not in tasks:
                 tasks[what] = bars.add_task(what, total=total)
             bars.update(tasks[what], completed=done, total=total)

@@ -41,12 +41,13 @@ def read_table(path: str | os.PathLike[str]) -> Table:
         raise DataError(f"{name}: got an empty file, want a header and rows")
     delimiter = max(",;\t", key=header.count)
     lines.seek(0)
-    reader = csv.reader(lines, delimiter=delimiter)
+    reader = csv.reader(lines, delimiter=delimiter, strict=True)
     try:
         # A spreadsheet leaves rows of nothing but separators behind its data.
         records = [(reader.line_num, cells) for cells in reader if any(map(str.strip, cells))]
     except csv.Error as error:
-        raise DataError(f"{name}, row {reader.line_num}: {error}") from error
+        what = str(error).replace("unexpected end of data", "a quotation mark is never closed")
+        raise DataError(f"{name}, row {reader.line_num}: {what}") from error
     (header_line, titles), *body = records
     columns = [title.strip().lower() for title in titles]
     for column in columns:
