@@ -32,7 +32,7 @@ lint: $(DEV) ## style, types, layers, notebooks without outputs
 	$(BIN)/nbstripout --verify notebooks/*.ipynb
 
 bench: $(DEV) ## ours against NumPy and the paper's times
-	$(BIN)/python benchmarks/run.py
+	$(BIN)/python benchmarks/initiators.py
 	$(BIN)/python benchmarks/sonar.py
 
 notebooks: $(DEV) ## execute every notebook, leaving the files as they are

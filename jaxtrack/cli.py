@@ -225,8 +225,9 @@ def _use_all_cores() -> None:
     """Make every core a device of JAX; too late, and left alone, once JAX has been used."""
     import jax
 
-    affinity = getattr(os, "sched_getaffinity", None)  # not on every system
-    cores = len(affinity(0)) if affinity else os.cpu_count() or 1
+    from jaxtrack.montecarlo.advice import available_cores
+
+    cores = available_cores()
     with contextlib.suppress(RuntimeError):
         jax.config.update("jax_num_cpu_devices", cores)
 

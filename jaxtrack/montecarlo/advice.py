@@ -21,7 +21,7 @@ def warn_of_idle_cores(trials: int) -> None:
     devices = jax.local_devices()
     if trials < _MANY_TRIALS or len(devices) > 1 or devices[0].platform != "cpu":
         return
-    cores = _available_cores()
+    cores = available_cores()
     if cores > 1:
         warnings.warn(
             f"monte_carlo runs on one CPU device although there are {cores} cores: call "
@@ -43,7 +43,7 @@ def warn_of_stalls(jaxpr: Any, devices: Sequence[Any]) -> None:
         return
     calls = sum(_work(eqn) > _WORK_IN_ONE_PIECE for eqn in _split_calls(jaxpr))
     configured = os.environ.get("NPROC", "")
-    threads = int(configured) if configured.isdigit() else _available_cores()
+    threads = int(configured) if configured.isdigit() else available_cores()
     if calls and len(devices) * calls >= threads:
         warnings.warn(
             "fn has linear algebra that jaxlib splits over XLA's threads; on the CPU such calls "
@@ -74,6 +74,7 @@ def _work(eqn: Any) -> int:
     return max(math.prod(shape) for shape in shapes) * shapes[0][-1]
 
 
-def _available_cores() -> int:
+def available_cores() -> int:
+    """Return how many cores this process may use."""
     affinity = getattr(os, "sched_getaffinity", None)  # not on every system
     return len(affinity(0)) if affinity else os.cpu_count() or 1

@@ -1,7 +1,7 @@
 """Speed of the initiators: batched JAX on all cores against NumPy on one pinned core.
 
 Compile and run apart, same data, ratios of one process run. `make bench`, or with names:
-`python benchmarks/run.py standard improved`.
+`python benchmarks/initiators.py standard improved`.
 """
 
 import os
@@ -30,8 +30,8 @@ AREA_M2 = 3500.0 * 1600.0
 
 def shapes(clutter):
     if clutter > 20:
-        return 96, Sizes(lines=LINES, pairs=1536, predecessors=40, candidates=64), 1
-    return 32, Sizes(lines=LINES, pairs=192, predecessors=20, candidates=64), 16
+        return 96, Sizes(lines=LINES, pairs=1536, predecessors=40, candidates=64)
+    return 32, Sizes(lines=LINES, pairs=192, predecessors=20, candidates=64)
 
 
 def methods(sizes, all_pairs):
@@ -47,13 +47,16 @@ def methods(sizes, all_pairs):
     }
 
 
-def batched_seconds(estimate, scene, detections, trials, micro_batch):
-    """Return seconds to compile, and seconds a realization of simulation and estimation."""
+def batched_seconds(estimate, scene, detections, trials):
+    """Return seconds to compile, and seconds a realization of simulation and estimation.
+
+    The realizations of a core follow each other: several at a time would leave its cache.
+    """
 
     def trial(key, scene):
         return estimate(observe(key, scene.truth, scene.radar, detections=detections))
 
-    run = lambda: monte_carlo(trial, jax.random.key(SEED), trials, scene, micro_batch=micro_batch)
+    run = lambda: monte_carlo(trial, jax.random.key(SEED), trials, scene, micro_batch=1)
     begin = time.perf_counter()
     run()
     first = time.perf_counter() - begin
@@ -117,16 +120,15 @@ def main(names):
     )
     aims = {"standard": 5, "improved": 20, "neutrosophic": 20}
     for clutter in (10.0, 56.0):
-        detections, sizes, micro_batch = shapes(clutter)
+        detections, sizes = shapes(clutter)
         all_pairs = sizes._replace(pairs=detections**2)
         scene = crossing_targets("IV", clutter)
         data = drawn(scene, detections, 64)
         for name, peer in numpy_peers().items():
             if names and name not in names:
                 continue
-            batch = 1 if name == "standard" else micro_batch
             estimate = methods(sizes, all_pairs)[name]
-            compile_s, ours = batched_seconds(estimate, scene, detections, 1024, batch)
+            compile_s, ours = batched_seconds(estimate, scene, detections, 1024)
             theirs = numpy_seconds(peer, data)
             print(
                 f"{name:14}{clutter:8.0f}{1024:8d}{compile_s:11.1f}{ours * 1e3:10.3f}"
@@ -135,13 +137,13 @@ def main(names):
             )
     if not names or "joint" in names:
         for clutter in (10.0, 56.0):
-            detections, _, _ = shapes(clutter)
+            detections, _ = shapes(clutter)
             params = joint.JointParams(PositionSensor(0.99, clutter / AREA_M2, 10.0))
             sizes = joint.JointSizes(hypotheses=32768 if clutter > 20 else 4096)
             scene = crossing_targets("IV", clutter)
             compile_s, ours = batched_seconds(
                 lambda s, p=params, z=sizes: joint.lines_of(joint.estimate(s, p, sizes=z)[0]),
-                scene, detections, 1024, 1,
+                scene, detections, 1024,
             )  # fmt: skip
             print(
                 f"{'joint':14}{clutter:8.0f}{1024:8d}{compile_s:11.1f}{ours * 1e3:10.3f}"
@@ -154,20 +156,20 @@ def main(names):
     grid = Grid(origin_m=(-12500.0, 21000.0), rho_max_m=17000.0)
     rules = neutrosophic.Rules(landing="own_cell")
     real = {
-        "standard": (lambda s: standard.estimate(
-            s, standard.StandardParams(grid), sizes=sizes)[0], 1),
-        "modified": (lambda s: modified.estimate(
-            s, modified.ModifiedParams(grid), sizes=sizes._replace(pairs=1024))[0], 16),
-        "improved": (lambda s: improved.estimate(
-            s, improved.ImprovedParams(grid), sizes=sizes)[0], 16),
-        "neutrosophic": (lambda s: neutrosophic.estimate(
-            s, neutrosophic.NeutrosophicParams(grid), sizes=sizes, rules=rules)[0], 16),
-    }  # fmt: skip
-    for name, (estimate, batch) in real.items():
+        "standard": lambda s: standard.estimate(s, standard.StandardParams(grid), sizes=sizes)[0],
+        "modified": lambda s: modified.estimate(
+            s, modified.ModifiedParams(grid), sizes=sizes._replace(pairs=1024)
+        )[0],
+        "improved": lambda s: improved.estimate(s, improved.ImprovedParams(grid), sizes=sizes)[0],
+        "neutrosophic": lambda s: neutrosophic.estimate(
+            s, neutrosophic.NeutrosophicParams(grid), sizes=sizes, rules=rules
+        )[0],
+    }
+    for name, estimate in real.items():
         if names and name not in names:
             continue
         trials = 128 if name == "standard" else 4096
-        compile_s, ours = batched_seconds(estimate, scene, 32, trials, batch)
+        compile_s, ours = batched_seconds(estimate, scene, 32, trials)
         print(
             f"{name:14}{10:8d}{trials:8d}{compile_s:11.1f}{ours * 1e3:10.3f}"
             f"{PAPER_S[name] * 1e3:10.1f}{PAPER_S[name] / ours:8.0f}",
