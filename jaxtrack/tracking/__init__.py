@@ -1,15 +1,29 @@
 """Stages wired together: from lines to tracks, from a recording to tracks, from look to look."""
 
 from jaxtrack.tracking.initiate import InitiateInfo, InitiateParams, initiate
+from jaxtrack.tracking.lifecycle import (
+    Births,
+    LifecycleParams,
+    TrackTable,
+    admit,
+    empty_table,
+    grade,
+)
 from jaxtrack.tracking.sliding import SlidingInfo, sliding
 from jaxtrack.tracking.window import METHODS, WindowInfo, initiate_window
 
 __all__ = [
     "METHODS",
+    "Births",
     "InitiateInfo",
     "InitiateParams",
+    "LifecycleParams",
     "SlidingInfo",
+    "TrackTable",
     "WindowInfo",
+    "admit",
+    "empty_table",
+    "grade",
     "initiate",
     "initiate_window",
     "sliding",

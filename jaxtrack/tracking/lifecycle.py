@@ -1,0 +1,194 @@
+"""The life of tracks in a table of fixed size: admitted, confirmed, coasting, deleted.
+
+A track is tentative when it is admitted. M hits among its last N counted looks confirm it; a
+confirmed track that misses a look coasts; too many misses in a row delete it. What counts is for
+the tracker to say: a look that is not valid, or does not reach the track, is no miss.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxtrack.numerics.checks import check_array, check_size
+from jaxtrack.types import Array, Stage, Tracks
+
+
+class LifecycleParams(NamedTuple):
+    """When tracks are confirmed and deleted. Traced."""
+
+    confirm_hits: Array | int = 3  # M, among the last N counted looks
+    delete_misses: Array | int = 5  # in a row, of a confirmed track
+    delete_tentative_misses: Array | int = 2  # in a row, of a tentative one
+
+
+class TrackTable(NamedTuple):
+    """Tracks and what their stages depend on."""
+
+    tracks: Tracks
+    hit: Array  # [M, N] whether the last N counted looks were hits, the latest last
+    misses: Array  # [M] int, in a row
+    next_identity: Array  # [] int
+
+
+class Births(NamedTuple):
+    """Candidates for new tracks."""
+
+    mean: Array  # [B, S]
+    covariance: Array  # [B, S, S]
+    mask: Array  # [B]
+    log_score: Array  # [B] where slots are few, the highest are admitted
+
+
+def empty_table(time_s: Array, *, tracks: int, state: int, looks: int) -> TrackTable:
+    """Return a table without tracks.
+
+    Args:
+        time_s: [] of the table; its dtype is that of the moments.
+        tracks: M slots, static.
+        state: S, static.
+        looks: N of the M-of-N rule, static.
+
+    Example:
+        >>> table = empty_table(jnp.asarray(0.0), tracks=2, state=4, looks=3)
+        >>> print(table.tracks.identity, table.next_identity)
+        [-1 -1] 0
+    """
+    for name, value in (("tracks", tracks), ("state", state), ("looks", looks)):
+        check_size(name, value)
+    time_s = jnp.asarray(time_s)
+    zeros = lambda *shape: jnp.zeros((tracks, *shape), time_s.dtype)
+    nobody = Tracks(
+        time_s=time_s,
+        mean=zeros(state),
+        covariance=zeros(state, state),
+        mask=jnp.zeros(tracks, bool),
+        identity=jnp.full(tracks, -1, jnp.int32),
+        stage=jnp.full(tracks, Stage.EMPTY, jnp.int32),
+        existence=zeros(),
+        log_score=zeros(),
+    )
+    return TrackTable(
+        nobody,
+        jnp.zeros((tracks, looks), bool),
+        jnp.zeros(tracks, jnp.int32),
+        jnp.zeros((), jnp.int32),
+    )
+
+
+def grade(table: TrackTable, hit: Array, counted: Array, params: LifecycleParams) -> TrackTable:
+    """Return the table after a look: tracks confirmed, coasting or deleted.
+
+    Args:
+        table: before.
+        hit: [M] the look held a detection of the track.
+        counted: [M] the look could have held one; where not, nothing changes.
+        params: the numbers of hits and misses.
+
+    Example:
+        >>> table = empty_table(jnp.asarray(0.0), tracks=1, state=4, looks=3)
+        >>> one = Births(jnp.ones((1, 4)), jnp.eye(4)[None], jnp.ones(1, bool), jnp.zeros(1))
+        >>> table, _ = admit(table, one)
+        >>> yes, no = jnp.ones(1, bool), jnp.zeros(1, bool)
+        >>> for seen in (yes, yes, no):
+        ...     table = grade(table, seen, yes, LifecycleParams())
+        ...     print(table.tracks.stage)
+        [1]
+        [2]
+        [3]
+    """
+    check_array("hit", hit, shape=table.misses.shape)
+    check_array("counted", counted, shape=table.misses.shape)
+    tracks = table.tracks
+    counted = counted & tracks.mask
+    hit = hit & counted
+    history = jnp.concatenate([table.hit[:, 1:], hit[:, None]], axis=1)
+    history = jnp.where(counted[:, None], history, table.hit)
+    misses = jnp.where(counted, jnp.where(hit, 0, table.misses + 1), table.misses)
+
+    enough = history.sum(1, dtype=jnp.int32) >= jnp.asarray(params.confirm_hits)
+    confirmed = (tracks.stage >= Stage.CONFIRMED) | (hit & enough)
+    patience = jnp.where(
+        confirmed,
+        jnp.asarray(params.delete_misses),
+        jnp.asarray(params.delete_tentative_misses),
+    )
+    stage = jnp.where(misses > 0, Stage.COASTING, Stage.CONFIRMED)
+    stage = jnp.where(confirmed, stage, Stage.TENTATIVE).astype(tracks.stage.dtype)
+    stage = jnp.where(counted, stage, tracks.stage)
+    keep = tracks.mask & ~(counted & (misses >= patience))
+    graded = table._replace(tracks=tracks._replace(stage=stage), hit=history, misses=misses)
+    return _only(graded, keep)
+
+
+def admit(table: TrackTable, births: Births) -> tuple[TrackTable, Array]:
+    """Return the table with new tentative tracks in its free slots, and whether some found none.
+
+    The candidates of the highest scores are admitted, into the first free slots; in a full table
+    nothing that is there gives way. Every track gets the next identity, which is never used again.
+    Being admitted counts as a hit.
+
+    Args:
+        table: before.
+        births: B candidates.
+
+    Example:
+        >>> table = empty_table(jnp.asarray(0.0), tracks=2, state=4, looks=3)
+        >>> two = Births(jnp.ones((3, 4)), jnp.ones((3, 4, 4)), jnp.array([True, False, True]),
+        ...              jnp.array([1.0, 9.0, 2.0]))
+        >>> table, crowded = admit(table, two)
+        >>> print(table.tracks.identity, table.tracks.log_score, crowded)
+        [0 1] [2. 1.] False
+    """
+    tracks = table.tracks
+    candidates, state = births.mean.shape
+    check_array("births.mean", births.mean, shape=("B", tracks.mean.shape[1]))
+    check_array("births.covariance", births.covariance, shape=(candidates, state, state))
+    for name in ("mask", "log_score"):
+        check_array(f"births.{name}", getattr(births, name), shape=(candidates,))
+    score = jax.lax.stop_gradient(jnp.where(births.mask, births.log_score, 0.0))
+    best_first = jnp.lexsort((-score, ~births.mask))
+    wanted = births.mask.sum(dtype=jnp.int32)
+
+    free = ~tracks.mask
+    rank = jnp.cumsum(free, dtype=jnp.int32) - 1  # of a free slot among the free ones
+    taken = free & (rank < wanted)
+    source = best_first[jnp.clip(rank, 0, candidates - 1)]
+    fill = lambda new, old: jnp.where(taken.reshape(-1, *(1,) * (old.ndim - 1)), new, old)
+    admitted = tracks._replace(
+        mean=fill(births.mean[source], tracks.mean),
+        covariance=fill(births.covariance[source], tracks.covariance),
+        mask=tracks.mask | taken,
+        identity=fill(table.next_identity + rank, tracks.identity),
+        stage=fill(jnp.full_like(tracks.stage, Stage.TENTATIVE), tracks.stage),
+        existence=fill(jnp.zeros_like(tracks.existence), tracks.existence),
+        log_score=fill(births.log_score[source], tracks.log_score),
+    )
+    first_hit = jnp.zeros_like(table.hit).at[:, -1].set(True)
+    number = taken.sum(dtype=jnp.int32)
+    after = TrackTable(
+        admitted,
+        fill(first_hit, table.hit),
+        fill(jnp.zeros_like(table.misses), table.misses),
+        table.next_identity + number,
+    )
+    return after, wanted > number
+
+
+def _only(table: TrackTable, keep: Array) -> TrackTable:
+    """Return the table with the slots of all other tracks empty."""
+    clear = lambda x, empty: jnp.where(
+        keep.reshape(-1, *(1,) * (x.ndim - 1)), x, jnp.asarray(empty, x.dtype)
+    )
+    tracks = table.tracks
+    empty = {"identity": -1, "stage": Stage.EMPTY}
+    fields = {
+        name: clear(getattr(tracks, name), empty.get(name, 0))
+        for name in tracks._fields
+        if name != "time_s"
+    }
+    return table._replace(
+        tracks=tracks._replace(**fields),
+        hit=clear(table.hit, False),
+        misses=clear(table.misses, 0),
+    )
