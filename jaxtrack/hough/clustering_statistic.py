@@ -24,7 +24,7 @@ from jaxtrack.hough.slope_intercept import (
     start_time,
 )
 from jaxtrack.models.motion import look_times
-from jaxtrack.numerics.checks import check_array, check_size
+from jaxtrack.numerics.checks import check_array, check_positive, check_size
 from jaxtrack.numerics.safe import safe_divide
 from jaxtrack.types import Array, Key, Scan, Stage, Tracks
 
@@ -259,7 +259,8 @@ def soft_estimate(
     """
     sizes = _check(scans, sizes)
     dtype = scans.position_m.dtype
-    tolerance, width = jnp.asarray(tolerance_m, dtype), jnp.asarray(temperature, dtype)
+    tolerance = check_positive("tolerance_m", tolerance_m, dtype)
+    width = check_positive("temperature", temperature, dtype)
     points = points_of(scans, 0)
     votes = soft_votes(points, params.x, tolerance, sizes=sizes.lines)
     cells = cells_above(

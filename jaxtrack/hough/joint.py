@@ -112,13 +112,7 @@ def estimate(
     dtype = scans.time_s.dtype
     sensor = jax.tree.map(lambda x: jnp.asarray(x, dtype), params.sensor)
     gate = jnp.asarray(params.gate, dtype)
-    counts = scans.mask & scans.valid[:, None]
-    weight = jnp.ones(counts.shape, dtype) if scans.weight is None else scans.weight
-    _, end = look_times(scans)
-    scans = scans._replace(
-        time_s=jnp.where(scans.valid, scans.time_s, end),
-        weight=jnp.where(counts, weight, 0.0),
-    )
+    scans, end = _cleaned(scans)
     fixed, fixed_sensor = jax.lax.stop_gradient((scans, sensor))
     whole = jnp.asarray(fixed.weight)
 
@@ -131,7 +125,7 @@ def estimate(
         there, observation.scores(states, scans, wide), -jnp.inf
     )
     if sizes.survivors is not None:
-        some = jax.tree.map(lambda x: x[::-_SOME][::-1], fixed)  # the last look is among them
+        some = _every_third(fixed)
         best = jax.lax.top_k(rank(start, there, some), min(sizes.survivors, there.shape[0]))[1]
         start, there = start[best], there[best]
     score = rank(start, there, fixed)
@@ -158,7 +152,7 @@ def estimate(
         explained = claim(states[top], whole * free)
         return free * (1 - explained), (states[top], score[top], free)
 
-    nothing = jnp.ones(counts.shape, dtype)
+    nothing = jnp.ones(scans.mask.shape, dtype)
     _, (states, picked, unexplained) = jax.lax.scan(pick, nothing, length=sizes.tracks)
 
     def finish(state: Array, free: Array) -> tuple[Array, ...]:
@@ -179,34 +173,10 @@ def estimate(
         return refined, covariance, total(refined, scans, sensor), definite
 
     def average(state: Array, free: Array) -> tuple[Array, ...]:
-        seen = lambda scans: scans._replace(weight=jnp.asarray(scans.weight) * free)
-        information = observation.information(state, seen(fixed), fixed_sensor)
-        information = information + _weak_prior(params.speed, dtype)
-        points = jnp.asarray(_normal_points(sizes.samples), dtype)
-        fastest, slowest = (jnp.asarray(v, dtype) for v in params.speed[::-1])
-        disc = jnp.log(jnp.pi * (fastest**2 - slowest**2))  # of velocities, all alike likely
-        definite, covariance, score = jnp.asarray(False), jnp.zeros_like(information), -disc
-        for last in (False,) * (_ROUNDS - 1) + (True,):
-            # Only the last round's weights carry gradients: where samples stand is no matter.
-            at, given = (seen(scans), sensor) if last else (seen(fixed), fixed_sensor)
-            root, definite = scaled_root(jax.lax.stop_gradient(information))
-            states = jax.lax.stop_gradient(state)[None] + _INFLATION * points @ root
-            speed = safe_norm(states[:, 2:4])
-            inside = (speed >= params.speed.v_min_m_s) & (speed <= params.speed.v_max_m_s)
-            value = observation.scores(states, at, given) + (points**2).sum(-1) / 2
-            value = jnp.where(inside, value, -1e9)
-            volume = jnp.log(2 * jnp.pi * _INFLATION**2) * 2 + jnp.log(jnp.diagonal(root)).sum()
-            score = jax.nn.logsumexp(value) - math.log(sizes.samples) + volume - disc
-            weight = jax.nn.softmax(value)
-            state = weight @ states
-            apart = states - state[None]
-            covariance = (weight[:, None] * apart).T @ apart
-            # No narrower than a few samples can tell.
-            information, _ = scaled_inverse(covariance + jnp.diag(jnp.diagonal(covariance)) * 0.05)
-        one = lambda x, scan: observation.log_likelihood_ratio(x, scan, sensor)
-        at_mean = jax.vmap(one)(_along(state, scans), seen(scans)).sum()
-        # Where nothing is seen, nothing speaks against a target: a wide volume alone is no track.
-        return state, covariance, jnp.where(score < at_mean, score, at_mean), definite
+        seen = scans._replace(weight=jnp.asarray(scans.weight) * free)
+        return evidence(
+            state, seen, sensor, params.speed, samples=sizes.samples, observation=observation
+        )
 
     # Only what passes the gate may take detections away from the others.
     strength = jax.vmap(average)(states, unexplained)[2] if sizes.samples else picked
@@ -246,6 +216,60 @@ def estimate(
     return tracks, JointInfo(clear(claims), overflow, keep & definite, start, start_score)
 
 
+def evidence(
+    state: Array,
+    scans: Scan | BeamScan,
+    sensor: Any,
+    speed: SpeedGate,
+    *,
+    samples: int,
+    observation: Observation = POSITION,
+) -> tuple[Array, Array, Array, Array]:
+    """Return posterior mean, covariance, evidence and whether the information was definite.
+
+        log ∫ exp L(x) dx / (π (v_max² − v_min²))
+
+    over places in m² and admissible velocities, by importance samples around a trajectory; no more
+    than L at the mean, for where nothing is seen a wide volume alone is no track.
+
+    Args:
+        state: [4] where to look, at the time of the last look.
+        scans: K looks stacked.
+        sensor: the observation's.
+        speed: admissible speeds.
+        samples: how many, static.
+        observation: the sensor's likelihood.
+    """
+    dtype = scans.time_s.dtype
+    scans, _ = _cleaned(scans)
+    fixed, fixed_sensor = jax.lax.stop_gradient((scans, sensor))
+    information = observation.information(state, fixed, fixed_sensor) + _weak_prior(speed, dtype)
+    points = jnp.asarray(_normal_points(samples), dtype)
+    fastest, slowest = (jnp.asarray(v, dtype) for v in speed[::-1])
+    disc = jnp.log(jnp.pi * (fastest**2 - slowest**2))  # of velocities, all alike likely
+    definite, covariance, score = jnp.asarray(False), jnp.zeros_like(information), -disc
+    for last in (False,) * (_ROUNDS - 1) + (True,):
+        # Only the last round's weights carry gradients: where samples stand is no matter.
+        at, given = (scans, sensor) if last else (fixed, fixed_sensor)
+        root, definite = scaled_root(jax.lax.stop_gradient(information))
+        states = jax.lax.stop_gradient(state)[None] + _INFLATION * points @ root
+        pace = safe_norm(states[:, 2:4])
+        inside = (pace >= speed.v_min_m_s) & (pace <= speed.v_max_m_s)
+        value = observation.scores(states, at, given) + (points**2).sum(-1) / 2
+        value = jnp.where(inside, value, -1e9)
+        volume = jnp.log(2 * jnp.pi * _INFLATION**2) * 2 + jnp.log(jnp.diagonal(root)).sum()
+        score = jax.nn.logsumexp(value) - math.log(samples) + volume - disc
+        weight = jax.nn.softmax(value)
+        state = weight @ states
+        apart = states - state[None]
+        covariance = (weight[:, None] * apart).T @ apart
+        # No narrower than a few samples can tell.
+        information, _ = scaled_inverse(covariance + jnp.diag(jnp.diagonal(covariance)) * 0.05)
+    one = lambda x, scan: observation.log_likelihood_ratio(x, scan, sensor)
+    at_mean = jax.vmap(one)(_along(state, scans), scans).sum()
+    return state, covariance, jnp.where(score < at_mean, score, at_mean), definite
+
+
 def lines_of(tracks: Tracks) -> Lines:
     """Return the lines that tracks move on, with their scores as votes, ρ from (0, 0).
 
@@ -266,10 +290,28 @@ def lines_of(tracks: Tracks) -> Lines:
     return Lines(clear(rho), clear(theta), clear(tracks.log_score), moves)
 
 
+def _cleaned(scans: Any) -> tuple[Any, Array]:
+    """Return scans with a weight for every detection and a time for every look, and the end."""
+    counts = scans.mask & scans.valid[:, None]
+    weight = jnp.ones(counts.shape, scans.time_s.dtype) if scans.weight is None else scans.weight
+    _, end = look_times(scans)
+    time_s = jnp.where(scans.valid, scans.time_s, end)
+    return scans._replace(time_s=time_s, weight=jnp.where(counts, weight, 0.0)), end
+
+
 def _along(state: Array, scans: Scan | BeamScan) -> Array:
     """Return a state of the last look at every look, [K, 4]."""
     dt, _ = look_times(scans)
     return propagate(jnp.broadcast_to(state, (dt.shape[0], *state.shape)), dt)
+
+
+def _every_third(scans: Any) -> Any:
+    """Return every third look, the last valid one, at which states stand, among them."""
+    looks = scans.valid.shape[0]
+    last = jnp.where(scans.valid, jnp.arange(looks, dtype=jnp.int32), 0).max()
+    behind = jnp.arange(looks - 1, -1, -_SOME, dtype=jnp.int32)[::-1] - (looks - 1)
+    # What wraps around stands behind the last valid look, and says nothing.
+    return jax.tree.map(lambda x: x[(last + behind) % looks], scans)
 
 
 def _weak_prior(speed: SpeedGate, dtype: Any) -> Array:

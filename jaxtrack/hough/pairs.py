@@ -52,6 +52,19 @@ def detection_times(scans: Scan) -> Array:
     return time + jnp.where(scans.mask & scans.valid[:, None], scans.delay_s, 0.0)
 
 
+def counting(scans: Scan) -> Array:
+    """Return which detections count at all, [K, N]: there, in a valid look, of a weight above 0.
+
+    Example:
+        >>> scans = Scan(jnp.zeros(2), jnp.array([True, False]), jnp.zeros((2, 2, 2)),
+        ...              jnp.ones((2, 2), bool), weight=jnp.array([[0.5, 0.0], [1.0, 1.0]]))
+        >>> print(counting(scans)[0], counting(scans)[1])
+        [ True False] [False False]
+    """
+    there = scans.mask & scans.valid[:, None]
+    return there if scans.weight is None else there & (jnp.where(there, scans.weight, 0.0) > 0)
+
+
 def pack_detections(scans: Scan, detections: int | None) -> tuple[Scan, Array]:
     """Return scans with their detections, in order, at the front of fewer places a look.
 
@@ -69,9 +82,7 @@ def pack_detections(scans: Scan, detections: int | None) -> tuple[Scan, Array]:
         >>> print(packed.position_m[0], crowded)
         [[2. 3.]] False
     """
-    counts = scans.mask & scans.valid[:, None]
-    if scans.weight is not None:
-        counts = counts & (jnp.where(counts, scans.weight, 0.0) > 0)
+    counts = counting(scans)
     if detections is None or detections >= counts.shape[1]:
         return scans, jnp.asarray(False)
     order = jnp.argsort(~counts, axis=1, stable=True)[:, :detections]
@@ -115,11 +126,10 @@ def candidate_pairs(scans: Scan, origin_m: Array, speed: SpeedGate | None, *, pa
     """
     check_scans(scans)
     check_size("number of looks", scans.mask.shape[0], at_least=2)
-    counts = scans.mask & scans.valid[:, None]
+    counts = counting(scans)
     position = jnp.where(counts[..., None], scans.position_m, 0.0)
     time = detection_times(scans)
     weight = jnp.ones_like(time) if scans.weight is None else jnp.where(counts, scans.weight, 0.0)
-    counts = counts & (weight > 0)
 
     earlier = np.arange(scans.mask.shape[0] - 1)
     mask = _admissible(position, time, counts, earlier, earlier + 1, speed)
@@ -179,11 +189,9 @@ def distant_pairs(
     couples = [(k, k + g) for g in range(gap, looks) for k in range(looks - g)]
     early = np.array([k for k, _ in couples], np.int32)
     late = np.array([k for _, k in couples], np.int32)
-    counts = scans.mask & scans.valid[:, None]
+    counts = counting(scans)
     position = jnp.where(counts[..., None], scans.position_m, 0.0)
     time = detection_times(scans)
-    if scans.weight is not None:
-        counts = counts & (jnp.where(counts, scans.weight, 0.0) > 0)
     admissible = _admissible(position, time, counts, early, late, speed)
     flat, _, count, overflow = _pack(admissible.reshape(-1, n), hypotheses)
     row, first = flat // n, flat % n

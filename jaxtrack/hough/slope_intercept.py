@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxtrack.numerics.checks import check_array, check_size
+from jaxtrack.numerics.checks import check_array, check_positive, check_size
 from jaxtrack.types import Array, Scan
 
 
@@ -205,6 +205,7 @@ def soft_votes(
     """
     _check(points, sizes)
     dtype = points.position_m.dtype
+    sigma = check_positive("sigma_m", sigma_m, dtype)
     velocity, _ = cell_centres(grid, sizes=sizes, dtype=dtype)
     _, _, low, step = (jnp.asarray(x, dtype) for x in grid)
     time, position, weight = (x.ravel() for x in points)
@@ -224,7 +225,7 @@ def soft_votes(
     flat = flat.at[node + 1].add((vote * upper_share).ravel(), mode="promise_in_bounds")
     binned = flat.reshape(sizes.velocities, nodes + 2)[:, 1:-1]
     # All that matters is how many nodes lie between a node and a cell's lower edge.
-    between = jnp.arange(-nodes, nodes).astype(dtype) * fine / jnp.asarray(sigma_m, dtype)
+    between = jnp.arange(-nodes, nodes).astype(dtype) * fine / sigma
     below = jax.scipy.special.ndtr(between)
     edge = np.arange(sizes.positions)[None, :] * sizes.fine - np.arange(nodes)[:, None] + nodes
     return binned @ (below[edge + sizes.fine] - below[edge])

@@ -48,6 +48,8 @@ def read_table(path: str | os.PathLike[str]) -> Table:
     except csv.Error as error:
         what = str(error).replace("unexpected end of data", "a quotation mark is never closed")
         raise DataError(f"{name}, row {reader.line_num}: {what}") from error
+    if not records:
+        raise DataError(f"{name}: got nothing but separators, want a header and rows")
     (header_line, titles), *body = records
     columns = [title.strip().lower() for title in titles]
     for column in columns:

@@ -4,11 +4,12 @@ A target at range ρ and bearing α (u in beams from the port edge) stands in be
 P(b | u), the mass of N(u, s_b²) on the beam. A beam that holds it and reports range r, or nothing,
 is by
 
-    Λ_b = [(1 − P_M) N(r; ρ, σ²) + P_M c P_F / ρ_D] / (P_F / ρ_D),
-    Λ_b = P_M (1 − c P_F) / (1 − P_F)
+    Λ_b = {(1 − o) [(1 − P_M) N(r; ρ, σ²) + P_M c P_F / ρ_D] + o / ρ_D} / (P_F / ρ_D),
+    Λ_b = (1 − o) P_M (1 − c P_F) / (1 − P_F)
 
 likelier than one that is empty, and the look's log-likelihood ratio is log Σ_b P(b | u) Λ_b over
-the three nearest beams: three gathers, however many beams there are.
+the three nearest beams: three gathers, however many beams there are. o is the probability that
+another target answers in the beam instead.
 Outside the sector and the scope nothing can be seen, Λ = 1.
 """
 
@@ -91,12 +92,16 @@ def beam_log_likelihood_ratio(state: Array, scan: BeamScan, params: BeamSensor) 
 def beam_responsibility(state: Array, scan: BeamScan, params: BeamSensor) -> Array:
     """Return the posterior probability that each beam's detection is the target's, [B].
 
-        r_b = Q P(b | u) w_b (1 − o) (1 − P_M) N(r_b; ρ, σ²) ρ_D / P_F / Λ
+        r_b = Q P(b | u) w_b (1 − P_M) N(r_b; ρ, σ²) ρ_D / P_F / Λ,   with o = 0
 
     Args:
         state: [4] x, y, vx, vy at the look's time.
         scan: one look.
         params: as in `beam_log_likelihood_ratio`.
+
+    Note:
+        That another target answers (o) is left out: it would leave o / P_F of every detection
+        unexplained, and where false alarms are rare a second track would live on that.
 
     Example:
         >>> from jaxtrack.types import Pose
@@ -106,6 +111,7 @@ def beam_responsibility(state: Array, scan: BeamScan, params: BeamSensor) -> Arr
         >>> print(claims[3:6].round(2))
         [0. 1. 0.]
     """
+    params = params._replace(p_other=0.0)
     place = _place(state[0], state[1], scan, params)
     total, own = _ratio(place, _report(place.beams, _table(scan, params)), params)
     beam = jnp.arange(scan.mask.shape[0], dtype=jnp.int32)

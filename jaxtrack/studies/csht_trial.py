@@ -15,7 +15,6 @@ from jaxtrack.hough import SpeedGate, clustering_statistic, joint, pack_detectio
 from jaxtrack.hough.slope_intercept import cell_centres, hard_votes, points_of
 from jaxtrack.metrics import (
     KnownDetections,
-    all_pass_at_truth,
     known_least_squares,
     known_posterior_mean,
     ospa,
@@ -59,7 +58,7 @@ class Outcome(NamedTuple):
 
     errors: dict[str, Errors]  # by method, floor and reference
     targets: Array  # that there are
-    passes_at_truth: Array  # every target's score at the truth passes the gate
+    passes_at_truth: Array  # the evidence found from every target's true path passes the gate
     overflow: Array  # a table of the joint vote was too small
     within: Array  # the scene keeps to the limits of random scenes
 
@@ -100,19 +99,24 @@ def trial(false_alarms: str) -> Callable[[Key, Inputs], Outcome]:
         }
         errors = {name: _errors(*found, truth, there) for name, found in estimates.items()}
         sensor = assumed(scene.sonar, false_alarms)
-        passes = all_pass_at_truth(truth, there, scans, sensor, inputs.gate, observation=BEAMS)
+        samples = _SIZES[false_alarms].samples
+        score = jax.vmap(
+            lambda x: joint.evidence(x, scans, sensor, SPEED, samples=samples, observation=BEAMS)[2]
+        )(truth)
+        passes = ((score >= jnp.asarray(inputs.gate, score.dtype)) | ~there).all()
         return Outcome(errors, there.sum(), passes, info.overflow, jnp.asarray(True))
 
     return run
 
 
 @functools.cache
-def search(false_alarms: str) -> Callable[[Key, SonarScene], tuple[Array, Array]]:
+def search(false_alarms: str) -> Callable[[Key, Inputs], tuple[Array, Array]]:
     """Return the function of one window of which only the joint vote's scores [M] matter."""
 
-    def run(key: Key, scene: SonarScene) -> tuple[Array, Array]:
+    def run(key: Key, inputs: Inputs) -> tuple[Array, Array]:
+        scene, gate = inputs
         scans = observe_beams(key, *scene, beams=BEAM_COUNT, false_alarms=false_alarms)
-        tracks, _ = _joint(scans, scene.sonar, 0.0, false_alarms)
+        tracks, _ = _joint(scans, scene.sonar, gate, false_alarms)
         return tracks.log_score, tracks.mask
 
     return run

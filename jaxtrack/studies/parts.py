@@ -52,7 +52,7 @@ def run_part(
     leaves = {f"leaf_{n}": leaf for n, leaf in enumerate(jax.tree.leaves(values))}
     file.parent.mkdir(parents=True, exist_ok=True)
     half = file.with_suffix(".half.npz")
-    np.savez(half, made_by=made_by, allow_pickle=False, **leaves)
+    np.savez(half, made_by=made_by, **leaves)
     half.replace(file)  # at once: a run that dies while writing leaves no broken part
     return values
 

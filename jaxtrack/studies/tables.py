@@ -142,7 +142,7 @@ def failed_table(title: str, rows: Sequence[Row]) -> Table:
     marked = [word for word in words if word != NONE]
     title = f"{title}: {marked.count(PASS)} of {len(marked)} pass"
     if SMOKE in marked:
-        return marks_table(f"{title}, {marked.count(SMOKE)} smoke: too few trials to say", [])
+        title += f", {marked.count(SMOKE)} smoke (too few trials to say)"
     failed = [row for row, word in zip(rows, words, strict=True) if word == FAILS]
     return marks_table(f"{title}; what does not:" if failed else title, failed)
 

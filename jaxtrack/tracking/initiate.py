@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack.filtering.rls import RlsInput, rls
-from jaxtrack.hough.pairs import SpeedGate, detection_times
+from jaxtrack.hough.pairs import SpeedGate, counting, detection_times
 from jaxtrack.models.line import point_line_distance
 from jaxtrack.models.motion import look_times
 from jaxtrack.numerics.checks import check_size
@@ -68,7 +68,9 @@ def initiate(
     number = lambda x: jnp.asarray(x, dtype)
     looks, detections = scans.mask.shape
     nearest = min(nearest, detections)
-    counts = scans.mask & scans.valid[:, None]
+    counts = counting(scans)
+    weight = jnp.ones(counts.shape, dtype) if scans.weight is None else scans.weight
+    weight = jnp.where(counts, weight, 0.0)
     position = jnp.where(counts[..., None], scans.position_m, 0.0)
     before, end = look_times(scans)
     time = detection_times(scans) - end
@@ -79,7 +81,7 @@ def initiate(
         near = counts & (away <= number(params.member_m))
         _, index = jax.lax.top_k(jnp.where(near, -away, -jnp.inf), nearest)
         take = lambda x: jnp.take_along_axis(x, index, axis=1)
-        near, t = take(near), take(time)
+        near, t, w = take(near), take(time), take(weight)
         along = jnp.sin(theta) * position[..., 0] - jnp.cos(theta) * position[..., 1]
         s = take(along)
         # Every pair of kept detections of different looks is a hypothesis s₀ + v t.
@@ -94,7 +96,8 @@ def initiate(
         pair, v, start = (pair & fast).ravel(), v.ravel(), start.ravel()
         miss = jnp.abs(s[None] - start[:, None, None] - v[:, None, None] * t[None])
         ratio = jnp.where(near[None], miss / number(params.along_m), jnp.inf)
-        support = jnp.where(pair, jnp.exp(-((3 * ratio) ** 2) / 2).max(-1).sum(-1), -1.0)
+        fits = w[None] * jnp.exp(-((3 * ratio) ** 2) / 2)
+        support = jnp.where(pair, fits.max(-1).sum(-1), -1.0)
         best = jnp.argmax(support)
         ratio = jnp.where(pair[best], ratio[best], jnp.inf)
         chosen = jnp.argmin(ratio, axis=-1)[:, None]

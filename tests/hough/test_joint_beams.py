@@ -61,6 +61,23 @@ def test_both_targets_are_found_where_they_are():
         assert (free < 1 + 1e-9).all()
 
 
+@pytest.mark.parametrize("p_false", [0.001, 0.01])
+def test_where_false_alarms_are_rare_no_target_is_found_twice(p_false):
+    rare = BeamSonar(p_miss=0.1, p_false=p_false, sigma_m=2.0)
+    for seed in range(6):
+        tracks, _ = track(scene(seed), JointParams(BeamSensor(rare), SPEED, 6.0))
+        apart = np.abs(np.asarray(tracks.mean[:, None, :2] - TRUTH[None, :, :2])).max(-1)
+        assert (apart[np.asarray(tracks.mask)] < 10.0).sum(0).tolist() == [1, 1]
+
+
+def test_a_lost_last_look_hides_nothing():
+    looks = scene(3)
+    valid = np.arange(LOOKS) < LOOKS - 1
+    tracks, _ = track(looks._replace(valid=valid), joint_params())
+    np.testing.assert_array_equal(tracks.mask, [True, True, False])
+    assert tracks.time_s == looks.time_s[-2]
+
+
 def test_a_lone_track_has_the_evidence_of_brute_force():
     scan = scene(11, targets=1)
     tracks, _ = track(scan, joint_params(gate=10.0))

@@ -144,6 +144,8 @@ def test_single_precision_stays_single_and_sizes_are_checked():
     assert soft(points, GRID, 3.0, sizes=SIZES).dtype == np.float32
     velocity, position = cell_centres(GRID, sizes=SIZES, dtype=jnp.dtype(np.float32))
     assert velocity.dtype == position.dtype == np.float32
+    with pytest.raises(ValueError, match=r"sigma_m: got -3\.0, want a positive number"):
+        soft_votes(points, GRID, -3.0, sizes=SIZES)
     with pytest.raises(ValueError, match=r"sizes\.fine: got 0"):
         soft_votes(points, GRID, 3.0, sizes=SIZES._replace(fine=0))
     with pytest.raises(ValueError, match=r"points\.weight: got shape"):

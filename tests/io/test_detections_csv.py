@@ -204,6 +204,11 @@ def test_an_endless_cell_is_an_error(tmp_path):
         read_detections(path)
 
 
+def test_separators_alone_are_no_table(tmp_path):
+    with pytest.raises(DataError, match=r"detections\.csv: got nothing but separators"):
+        read_detections(written(tmp_path, ",,,\n,,\n"))
+
+
 def test_a_quotation_mark_that_is_never_closed(tmp_path):
     path = written(tmp_path, 'time_s,x_m,y_m\n0,1,2\n1,"3,4\n2,5,6\n')
     with pytest.raises(DataError, match=r"row 4: a quotation mark is never closed"):

@@ -68,7 +68,7 @@ def test_scores_ratios_and_claims_equal_the_loop(detected, spread):
             arguments = states[0], scans, k, sensor.sonar, spread, OTHER
             want = oracle.log_likelihood_ratio(*arguments)
             np.testing.assert_allclose(ratio(states[0], one, sensor), want, rtol=1e-7, atol=1e-6)
-            want = oracle.responsibility(*arguments)
+            want = oracle.responsibility(*arguments[:-1])
             np.testing.assert_allclose(claims(states[0], one, sensor), want, rtol=1e-6, atol=1e-9)
 
 

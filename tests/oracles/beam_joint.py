@@ -87,11 +87,11 @@ def log_likelihood_ratio(state, scan, k, sonar, spread, other):
     return math.log(ratio_parts(state, scan, k, sonar, spread, other)[1])
 
 
-def responsibility(state, scan, k, sonar, spread, other):
-    """Return how far the detection of each beam of look k is the target's."""
+def responsibility(state, scan, k, sonar, spread):
+    """Return how far the detection of each beam of look k is the target's; there is no other."""
     claims = [0.0] * scan.range_m.shape[1]
     if bool(scan.valid[k]):
-        parts, total = ratio_parts(state, scan, k, sonar, spread, other)
+        parts, total = ratio_parts(state, scan, k, sonar, spread, 0.0)
         for beam, part in parts:
             claims[beam] = part / total
     return claims

@@ -92,6 +92,18 @@ def test_numbers(value, unit, text):
     assert tables.number(value, unit) == text
 
 
+def test_what_fails_is_listed_whatever_else_is_smoke():
+    rows = [
+        Row("bad", tables.rate(10, 1000), "", Mark(0.98)),
+        Row("few", tables.rate(3, 4), "", Mark(0.98)),
+        Row("good", tables.rate(1000, 1000), "", Mark(0.98)),
+        Row("shown", tables.rate(1, 1000), "", None),
+    ]
+    table = tables.failed_table("Marks", rows)
+    assert table.row_count == 1
+    assert str(table.title).startswith("Marks: 1 of 3 pass, 1 smoke")
+
+
 def test_rows_become_entries_of_a_summary():
     entry = tables.entry(Row("joint", tables.rate(40, 40), "good", Mark(0.97)))
     assert entry["verdict"] == "pass"

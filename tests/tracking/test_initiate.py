@@ -285,3 +285,18 @@ def test_nearest_must_be_a_size():
     scan, table, _ = random_scene(0)
     with pytest.raises(ValueError, match="nearest: got 0, want an int ≥ 1"):
         initiate(scan, table, PARAMS, nearest=0)
+
+
+def test_weights_decide_between_alternatives():
+    # Two paths a look along one line; the weights say which is the target's.
+    time_s = 2.0 * np.arange(4)
+    there, back = 400.0 * np.arange(4), 1800.0 - 300.0 * np.arange(4)
+    position = np.stack([np.stack([x, np.full(4, 80.0)], -1) for x in (there, back)], axis=1)
+    line = Lines(np.array([80.0]), np.array([math.pi / 2]), np.array([4.0]), np.ones(1, bool))  # pyright: ignore[reportArgumentType]
+    for share, velocity in (((1.0, 0.0), 200.0), ((0.0, 1.0), -150.0), ((0.3, 0.6), -150.0)):
+        weight = np.broadcast_to(share, (4, 2))
+        scans = Scan(time_s, np.ones(4, bool), position, np.ones((4, 2), bool), weight=weight)  # pyright: ignore
+        tracks, info = start(scans, line, PARAMS)
+        assert bool(tracks.mask[0])
+        assert (np.asarray(info.member[0]) == (velocity < 0)).all()
+        np.testing.assert_allclose(tracks.mean[0, 2:], [velocity, 0.0], atol=1.0)
