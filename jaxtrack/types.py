@@ -79,8 +79,8 @@ class Tracks(NamedTuple):
     mask: Array  # [M]
     identity: Array  # [M] int; −1: empty slot; never reused within a run
     stage: Array  # [M] int, a `Stage`
-    existence: Array  # [M] probability, under the prior odds that the method states
-    log_score: Array  # [M] log-likelihood ratio against clutter
+    existence: Array  # [M] probability, or what the method takes for one
+    log_score: Array  # [M] log-likelihood ratio against clutter; of votes, what they count
 
 
 class Stage:

@@ -237,6 +237,7 @@ def soft_estimate(
     params: ClusteringParams,
     tolerance_m: Array | float,
     temperature: Array | float,
+    key: Key | None = None,
     *,
     sizes: ClusteringSizes | None = None,
 ) -> tuple[Tracks, ClusteringInfo]:
@@ -252,10 +253,11 @@ def soft_estimate(
         params: grids, thresholds, clustering.
         tolerance_m: [] standard deviation of a vote and of the association.
         temperature: [] width of the thresholds, as a share of the peak.
+        key: not used; part of every window estimator's signature.
         sizes: static sizes; the defaults if None.
 
     Raises:
-        ValueError: shapes do not fit, or a size is too small.
+        ValueError: shapes do not fit, a size is too small, or a tolerance is not positive.
     """
     sizes = _check(scans, sizes)
     dtype = scans.position_m.dtype

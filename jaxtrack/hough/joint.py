@@ -60,7 +60,7 @@ class JointInfo(NamedTuple):
 
     responsibility: Array  # [M, K, N] how far each detection is a track's
     overflow: Array  # [] not all pairs were scored
-    definite: Array  # [M] the information is positive definite; else the covariance is a guess
+    definite: Array  # [M] the information (with samples: and a weak prior) is positive definite
     hypothesis: Array  # [C, 4] the best candidates, at the last look
     hypothesis_score: Array  # [C] their scores with the noise widened
 
@@ -83,13 +83,13 @@ def estimate(
         observation: the sensor's likelihood.
 
     Returns:
-        Tracks in order of their scores; `covariance` is the inverse of the observed information (it
-        carries no gradient), `existence` the posterior probability for prior log-odds of −gate.
-        Without samples the score is L at the estimate; with samples it is the evidence, log ∫ exp
-        L(x) over places in m² and admissible velocities, all alike likely (but no more than L): it
-        tells targets from clutter better than the maximum does.
-        The search is not differentiated: gradients are those of the maximum it ends in, by the
-        implicit function theorem.
+        Tracks in order of their scores; `existence` is the posterior probability for prior log-odds
+        of −gate. The search is not differentiated.
+        Without samples: the likelihood's mode, whose gradient is that of the maximum by the
+        implicit function theorem, its score L, and the inverse of the observed information, without
+        a gradient. With samples: the posterior's mean, covariance and `evidence`, with gradients
+        through the samples' weights; the evidence tells targets from clutter better than the
+        maximum does, and is some nats less, so that its gate is lower.
 
     Raises:
         TypeError: a size is not a Python int.

@@ -97,10 +97,11 @@ def known_posterior_mean(
 ) -> PosteriorMean:
     """Return the posterior mean of a trajectory given detections of known origin.
 
-    The prior is uniform over speeds and over places within the sonar's scope at the state's time; a
-    look without a detection has probability P_M inside the sector and 1 outside. Importance
-    sampling in rounds: the first draws from the Gaussian of least squares and grants the beams soft
-    edges, each later one draws from the Gaussian that the one before found, the last is exact.
+    The prior is uniform over velocities of admissible speed and over places within the sonar's
+    scope at the state's time; a look without a detection has probability P_M inside the sector and
+    1 outside. Importance sampling in rounds: the first draws from the Gaussian of least squares and
+    grants the beams soft edges, each later one draws from the Gaussian that the one before found,
+    the last is exact.
 
     Args:
         key: random key.

@@ -42,7 +42,7 @@ class Observation(NamedTuple):
 
     log_likelihood_ratio: LogLikelihoodRatio
     scores: Callable[[Array, Any, Any], Array]
-    responsibility: LogLikelihoodRatio
+    responsibility: Callable[[Array, Any, Any], Array]
     refine: Callable[[Array, Any, Any], Array]
     blur: Callable[[Any, Array | float], Any]
     positions: Callable[[Any, Any], Scan]
