@@ -17,7 +17,6 @@ from jaxtrack.numerics.definite import rounding_floor, scaled_root
 from jaxtrack.numerics.safe import as_float
 from jaxtrack.types import Array, Estimator
 
-
 TreeT = TypeVar("TreeT")
 
 

@@ -183,7 +183,7 @@ def interacting(
         ]
         predicted, chance = choose(
             scan.valid,
-            (jax.tree.map(lambda *x: jnp.stack(x), *moved), chance),
+            (Moments(*(jnp.stack(x) for x in zip(*moved, strict=True))), chance),
             (Moments(state.mean, state.covariance), state.probability),
         )
         seen = jax.vmap(position_seen, (0, None, None))(predicted.mean, scan, params.sigma_m)
