@@ -18,13 +18,13 @@ def prior(size=4):
     root = rng.normal(size=(size, size)) + 2 * np.eye(size)
     scale = np.array([20.0, 20.0, 3.0, 3.0, 0.05])[:size]
     covariance = scale[:, None] * (root @ root.T) * scale[None, :] / size
-    return Prior(np.array([-60.0, 30.0, 4.0, -6.0, 0.1])[:size], covariance, PRIOR_TIME)  # pyright: ignore
+    return Prior(np.array([-60.0, 20.0, 3.0, -8.0, 0.1])[:size], covariance, PRIOR_TIME)  # pyright: ignore
 
 
 def truth(rng, size=SIZE, rate=0.1):
     """Return times and states of a turning target that passes behind the sensor."""
     time_s = PRIOR_TIME + np.cumsum(rng.uniform(0.3, 1.7, size))
-    start = np.array([-60.0, 30.0, 4.0, -6.0, rate])
+    start = np.array([-60.0, 20.0, 3.0, -8.0, rate])
     return time_s, np.stack([kalman.turned(start, t - PRIOR_TIME) for t in time_s])
 
 
@@ -141,3 +141,30 @@ def single(tree):
     return jax.tree.map(
         lambda x: np.asarray(x, np.float32) if np.asarray(x).dtype == float else x, tree
     )
+
+
+def long_polar_looks():
+    """Return a prior, `LONG` polar looks of a target that circles the sensor, and its states."""
+    rng = np.random.default_rng(9)
+    time_s = np.arange(1.0, LONG + 1)
+    rate = 0.01
+    states = np.stack(
+        [
+            800 * np.cos(rate * time_s) + 100,
+            800 * np.sin(rate * time_s),
+            -8 * np.sin(rate * time_s),
+            8 * np.cos(rate * time_s),
+            np.full(LONG, rate),
+        ],
+        axis=-1,
+    )
+    z = np.stack([np.hypot(*states[:, :2].T), np.arctan2(states[:, 1], states[:, 0])], axis=-1)
+    z = z + rng.normal(size=(LONG, 2)) * [5.0, 0.01]
+    seen = (rng.random(LONG) < 0.8)[:, None]
+    seen[5000:5020] = False
+    zero = np.zeros(LONG)
+    pose = Pose(np.zeros((LONG, 2)), zero)  # pyright: ignore
+    z = np.where(seen, z, np.nan)
+    scans = PolarScan(time_s, np.ones(LONG, bool), z[:, :1], z[:, 1:], seen, pose)  # pyright: ignore
+    start = Prior(states[0], np.diag([1e4, 1e4, 1e2, 1e2, 1e-2]), time_s[0])  # pyright: ignore
+    return start, scans, states

@@ -79,7 +79,8 @@ def test_dynamax_agrees():
     pairs = zip(
         np.asarray(other.smoothed_means), np.asarray(other.smoothed_covariances), strict=True
     )
-    assert_moments(got, list(pairs))
+    # It adds 1e-9 to the diagonal of every matrix that it solves with.
+    assert_moments(got, list(pairs), rtol=3e-8)
 
 
 def test_gradients_agree_with_central_differences():
