@@ -48,8 +48,8 @@ def white_noise_acceleration(dt_s: ArrayLike, sigma_a_m_s2: ArrayLike) -> Array:
 def turn(state: Array, dt_s: ArrayLike) -> Array:
     """Move a state along a circle, at constant speed and turn rate.
 
-        p' = p + Δt [[s, −c], [c, s]] v,   v' = [[cos u, −sin u], [sin u, cos u]] v,
-        u = ω Δt,   s = sin(u)/u,   c = (1 − cos u)/u = sin(u/2) · sin(u/2)/(u/2)
+        p' = p + Δt sin(u/2)/(u/2) R(u/2) v,   v' = R(u) v,   u = ω Δt,
+        R(u) = [[cos u, −sin u], [sin u, cos u]]:  the chord points half as far round as the turn
 
     Args:
         state: [5] x, y, vx, vy, ω in m, m/s and rad/s; ω = 0 is a straight line.
@@ -63,13 +63,13 @@ def turn(state: Array, dt_s: ArrayLike) -> Array:
     """
     x, y, vx, vy, rate = (state[k] for k in range(5))
     dt = jnp.asarray(dt_s, state.dtype)
-    angle = rate * dt
-    along, across = dt * safe_sinc(angle), dt * jnp.sin(angle / 2) * safe_sinc(angle / 2)
-    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    half = rate * dt / 2
+    cos_half, sin_half, chord = jnp.cos(half), jnp.sin(half), dt * safe_sinc(half)
+    cos, sin = 1 - 2 * sin_half**2, 2 * sin_half * cos_half
     return jnp.stack(
         [
-            x + along * vx - across * vy,
-            y + across * vx + along * vy,
+            x + chord * (cos_half * vx - sin_half * vy),
+            y + chord * (sin_half * vx + cos_half * vy),
             cos * vx - sin * vy,
             sin * vx + cos * vy,
             rate,

@@ -15,7 +15,10 @@ from tests.filtering.looks import (
     LONG,
     SIZE,
     assert_moments,
+    assert_near,
+    assert_rows_are_alone,
     assert_sound,
+    batched,
     long_polar_looks,
     polar_looks,
     prior,
@@ -24,7 +27,7 @@ from tests.filtering.looks import (
 from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import kalman as oracle
 
-few = settings(max_examples=20, deadline=None, derandomize=True, database=None)
+few = settings(max_examples=12, deadline=None, derandomize=True, database=None)
 flags = st.lists(st.booleans(), min_size=SIZE, max_size=SIZE)
 SIGMA_A, SIGMA_TURN = 0.5, 0.02
 PARAMS = PolarParams(prior(5), 2.0, 0.03)
@@ -35,10 +38,16 @@ def filtered(params, scans, sigma_a=SIGMA_A, sigma_turn=SIGMA_TURN):
     return jax.lax.scan(estimator.step, estimator.init(jax.random.key(0)), scans)
 
 
-@jax.jit
+def smoothed(params, scans):
+    info = filtered(params, scans)[1]
+    return info, smooth(info.filtered, info.predicted, info.transition, info.noise)
+
+
+run_all = jax.jit(jax.vmap(smoothed, (None, 0)))
+
+
 def run(params, scans):
-    state, info = filtered(params, scans)
-    return state, info, smooth(info.filtered, info.predicted, info.transition, info.noise)
+    return batched(run_all, params, scans)
 
 
 def expected(looks):
@@ -50,7 +59,7 @@ def expected(looks):
 @given(st.integers(0, 2**32 - 1), flags, flags)
 def test_equals_the_textbook(seed, seen, valid):
     scans, looks = polar_looks(seed, seen, valid)
-    _, info, after = run(PARAMS, scans)
+    info, after = run(PARAMS, scans)
     done = expected(looks)
     assert_moments(info.predicted, [one["predicted"] for one in done])
     assert_moments(info.filtered, [one["filtered"] for one in done])
@@ -64,11 +73,6 @@ def test_the_scene_passes_behind_the_sensor():
     assert np.abs(np.diff(bearings)).max() > np.pi
 
 
-def test_without_covariances_the_sensors_own_sigmas_count():
-    scans, looks = polar_looks(2, own=False)
-    assert_moments(run(PARAMS, scans)[1].filtered, [one["filtered"] for one in expected(looks)])
-
-
 def test_what_is_masked_changes_nothing():
     seen, valid = np.ones((2, SIZE), bool)
     seen[[1, 4]], valid[[2, 6]] = False, False
@@ -80,14 +84,9 @@ def test_what_is_masked_changes_nothing():
         assert np.isfinite(b).all()
 
 
-def test_vmap_is_a_loop():
+def test_a_batch_is_its_realizations():
     several = [polar_looks(seed)[0] for seed in range(3)]
-    stacked = jax.tree.map(lambda *x: np.stack(x), *several)
-    got = jax.jit(jax.vmap(filtered, (None, 0)))(PARAMS, stacked)[1]
-    for n, scans in enumerate(several):
-        one = run(PARAMS, scans)[1]
-        for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(one), strict=True):
-            np.testing.assert_allclose(a[n], b, rtol=1e-8, atol=1e-8)
+    assert_rows_are_alone(run_all, several, PARAMS)
 
 
 def test_gradients_agree_with_central_differences():
@@ -95,7 +94,7 @@ def test_gradients_agree_with_central_differences():
     seen[[1, 4]], valid[6] = False, False
     scans, _ = polar_looks(4, seen, valid)
     there = (seen & valid)[:, None]
-    start = prior(5)
+    start = prior()
 
     def loss(mean, sigmas, ranges, bearings):
         params = PolarParams(
@@ -106,12 +105,14 @@ def test_gradients_agree_with_central_differences():
             bearing_rad=jnp.where(there, bearings, jnp.nan),
             covariance=None,
         )
-        info = filtered(params, polar, sigmas[4], sigmas[5] / 30)[1]
-        return info.log_likelihood.sum() / 10
+        # The turn's own derivatives are held in `tests/models/test_process.py`.
+        estimator = extended(params, constant_velocity(sigmas[4]))
+        first = estimator.init(jax.random.key(0))
+        return jax.lax.scan(estimator.step, first, polar)[1].log_likelihood.sum() / 10
 
     arguments = (
         start.mean / 10,
-        np.array([1.1, 0.9, 0.7, -0.5, 0.5, 0.6]),
+        np.array([1.1, 0.9, 0.7, -0.5, 0.5]),
         np.nan_to_num(scans.range_m) / 10,
         np.nan_to_num(scans.bearing_rad),
     )
@@ -122,20 +123,20 @@ def test_gradients_agree_with_central_differences():
 
 def test_filterpy_agrees():
     peer = pytest.importorskip("filterpy.kalman")
+
+    class Turning(peer.ExtendedKalmanFilter):
+        def predict_x(self, u=0):
+            self.x = oracle.turned(self.x, self.dt)
+
     scans, looks = polar_looks(5, [True] * 5 + [False, True, True])
-
-    @jax.jit
-    def run(params, scans):
-        estimator = extended(params, constant_velocity(SIGMA_A))
-        return jax.lax.scan(estimator.step, estimator.init(jax.random.key(0)), scans)[1]
-
-    info = run(PARAMS._replace(prior=prior()), scans)
-    other = peer.ExtendedKalmanFilter(dim_x=4, dim_z=2)
-    other.x, other.P = prior().mean, prior().covariance
+    info, _ = run(PARAMS, scans)
+    other = Turning(dim_x=5, dim_z=2)
+    other.x, other.P = prior(5).mean, prior(5).covariance
     time = prior().time_s
     for k, look in enumerate(looks):
-        dt, time = look["time"] - time, look["time"]
-        other.F, other.Q = oracle.transition(dt), oracle.acceleration_noise(dt, SIGMA_A)
+        other.dt, time = look["time"] - time, look["time"]
+        other.F = oracle.jacobian(lambda x, dt=other.dt: oracle.turned(x, dt), other.x)
+        other.Q = oracle.turn_noise(other.dt, SIGMA_A, SIGMA_TURN)
         other.predict()
         if look["seen"]:
             other.update(
@@ -183,6 +184,21 @@ def test_ten_thousand_steps_in_float32():
     got = run(*single((params, scans, 0.1, 1e-3)))
     assert got.mean.dtype == got.covariance.dtype == np.float32
     assert_sound(got.covariance)
+    # Its own sigmas count here, for these looks carry no covariances.
+    looks = [
+        {
+            "time": time,
+            "valid": True,
+            "seen": seen[0],
+            "z": np.array([r[0], b[0]]),
+            "R": np.diag([25.0, 1e-4]),
+            "position": np.zeros(2),
+            "heading": 0.0,
+        }
+        for time, _, r, b, seen, *_ in zip(*scans[:5], strict=True)
+    ][:300]
+    done = oracle.run(start, looks, oracle.turn_move(0.1, 1e-3), oracle.observe_polar)
+    assert_near((x[:300] for x in got), [one["filtered"] for one in done])
     error = np.asarray(got.mean) - states
     assert np.sqrt((error[100:, :2] ** 2).sum(-1)).max() < 100.0
     assert np.abs(error[100:, 4]).max() < 0.02

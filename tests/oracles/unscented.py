@@ -27,10 +27,10 @@ def polar_subtract(a, b):
 
 
 def transform(values, for_mean, for_covariance, residual):
-    """Return mean and covariance of weighted values; means are taken of differences to the first."""
-    mean = values[0] + sum(
-        w * residual(v, values[0]) for w, v in zip(for_mean, values, strict=True)
-    )
+    """Return mean and covariance of weighted values; differences are to the first one."""
+    mean = values[0].copy()
+    for w, v in zip(for_mean, values, strict=True):
+        mean += w * residual(v, values[0])
     covariance = np.zeros((len(mean), len(mean)))
     for w, v in zip(for_covariance, values, strict=True):
         covariance += w * np.outer(residual(v, mean), residual(v, mean))
