@@ -235,12 +235,14 @@ def test_one_model_is_its_filter_and_certain_models_do_not_mix():
 
 
 def test_impossible_models_and_far_likelihoods_stay_finite():
-    chance, total = reweigh(jnp.array([0.0, 1.0]), jnp.array([0.0, -1e4]))
+    chance, total = jax.jit(reweigh)(jnp.array([0.0, 1.0]), jnp.array([0.0, -1e4]))
     assert np.isfinite(chance).all()
     assert np.isfinite(total)
     np.testing.assert_allclose(chance.sum(), 1.0)
     leave = np.array([[0.0, 1.0], [0.0, 1.0]])
-    mixed, predicted = mix(np.ones((2, 3)), np.ones((2, 3, 3)), np.array([1.0, 0.0]), leave)  # pyright: ignore
+    mixed, predicted = jax.jit(mix)(
+        np.ones((2, 3)), np.ones((2, 3, 3)), np.array([1.0, 0.0]), leave
+    )  # pyright: ignore
     assert np.isfinite(mixed.mean).all()
     np.testing.assert_array_equal(predicted, [0.0, 1.0])
 

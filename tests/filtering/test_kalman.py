@@ -72,11 +72,6 @@ def test_equals_the_textbook(seed, seen, valid):
     assert np.asarray(info.definite).all()
 
 
-def test_without_covariances_the_sensors_own_sigma_counts():
-    scans, looks = position_looks(1, own=False)
-    assert_agrees(run(PARAMS, scans)[1], expected(looks))
-
-
 def test_a_weight_of_zero_is_no_detection():
     seen = [True] * 3 + [False] + [True] * 4
     scans, _ = position_looks(2)
@@ -187,6 +182,7 @@ def test_ten_thousand_steps_in_float32():
     assert_sound(info.filtered.covariance)
     assert_sound(info.predicted.covariance)
     done = oracle.run(wide, bare_looks(scans), oracle.linear_move(0.05), oracle.observe_position)
+    # Without covariances of their own, the sensor's sigma counts.
     assert_near(info.filtered, [one["filtered"] for one in done])
 
 

@@ -26,11 +26,10 @@ STATE = np.array([3.0, -7.0, 5.0, 2.0, 0.0])
 def test_a_turn_is_the_textbooks(rate, dt):
     state = np.append(STATE[:4], rate)
     # The textbook divides by the rate, which costs digits near zero.
-    atol = 1e-12 + 1e-15 / max(abs(rate), 1e-3)
-    expected = oracle.turned(state if abs(rate) > 1e-6 else STATE, dt)[:4]
-    np.testing.assert_allclose(
-        jitted(state, dt)[:4], expected, rtol=1e-12, atol=1e-7 if 0 < abs(rate) < 1e-6 else atol
-    )
+    known = abs(rate) > 1e-6 or rate == 0
+    expected = oracle.turned(state if known else STATE, dt)[:4]
+    tolerance = 1e-11 if known else 1e-7
+    np.testing.assert_allclose(jitted(state, dt)[:4], expected, rtol=tolerance, atol=tolerance)
     assert float(jitted(state, dt)[4]) == rate
 
 

@@ -10,13 +10,12 @@ from tests.oracles import kalman as oracle
 
 def test_range_and_bearing_and_their_slope_are_the_oracles():
     rng = np.random.default_rng(0)
-    both = jax.jit(
-        lambda state, pose: (range_bearing(state, pose), jax.jacfwd(range_bearing)(state, pose))
-    )
+    value_of, slope_of = jax.jit(range_bearing), jax.jit(jax.jacfwd(range_bearing))
     for _ in range(20):
         state, ship = rng.normal(scale=50.0, size=5), rng.normal(scale=50.0, size=2)
         heading = rng.uniform(-3.0, 3.0)
-        value, matrix = both(state, Pose(ship, np.asarray(heading)))  # pyright: ignore
+        pose = Pose(ship, np.asarray(heading))  # pyright: ignore
+        value, matrix = value_of(state, pose), slope_of(state, pose)
         expected = oracle.range_bearing(state, ship, heading)
         np.testing.assert_allclose(value, expected, rtol=1e-12, atol=1e-12)
         expected = oracle.range_bearing_jacobian(state, ship)
