@@ -1,5 +1,28 @@
-"""Recursive filters. `rls` smooths initialised tracks."""
+"""Recursive filters of one target: the Kalman family, and least squares.
 
-from jaxtrack.filtering import rls
+`kalman`, `extended` and `unscented` are filters, each as two steps on arrays and as an estimator;
+`interacting` runs several motions beside each other, `smoother` looks back over any of the first
+three, and `gaussian` is what they share. `rls` smooths initialised tracks.
+"""
 
-__all__ = ["rls"]
+from jaxtrack.filtering import (
+    extended,
+    gaussian,
+    interacting,
+    kalman,
+    polar,
+    rls,
+    smoother,
+    unscented,
+)
+
+__all__ = [
+    "extended",
+    "gaussian",
+    "interacting",
+    "kalman",
+    "polar",
+    "rls",
+    "smoother",
+    "unscented",
+]

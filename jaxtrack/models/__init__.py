@@ -1,4 +1,4 @@
-"""How targets move and how they are seen: straight lines, motion, observation likelihoods."""
+"""How targets move and how they are seen: straight lines, motion and its noise, observation."""
 
 from jaxtrack.models.beams import BEAMS, BeamSensor
 from jaxtrack.models.frames import earth_to_polar, polar_to_earth
@@ -18,6 +18,16 @@ from jaxtrack.models.observation import (
     position_responsibility,
     position_scores,
 )
+from jaxtrack.models.process import (
+    Motion,
+    constant_velocity,
+    coordinated_turn,
+    straight,
+    turn,
+    turn_noise,
+    white_noise_acceleration,
+)
+from jaxtrack.models.range_bearing import PolarScan, range_bearing, range_bearing_residual
 from jaxtrack.models.sonar import BeamSonar, beam_bearings
 
 __all__ = [
@@ -25,9 +35,13 @@ __all__ = [
     "POSITION",
     "BeamSensor",
     "BeamSonar",
+    "Motion",
     "Observation",
+    "PolarScan",
     "PositionSensor",
     "beam_bearings",
+    "constant_velocity",
+    "coordinated_turn",
     "earth_to_polar",
     "line_covariance",
     "line_difference",
@@ -39,6 +53,12 @@ __all__ = [
     "position_responsibility",
     "position_scores",
     "propagate",
+    "range_bearing",
+    "range_bearing_residual",
+    "straight",
     "transition_matrix",
+    "turn",
+    "turn_noise",
+    "white_noise_acceleration",
     "wrap_line",
 ]

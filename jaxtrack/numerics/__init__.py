@@ -10,7 +10,13 @@ from jaxtrack.numerics.assignment import Assignment, assign
 from jaxtrack.numerics.bijectors import Bijector, bounded, identity, positive, simplex
 from jaxtrack.numerics.checks import check_array, check_choice, check_size
 from jaxtrack.numerics.choice import choose, greater, step
-from jaxtrack.numerics.definite import definite_inverse, scaled_inverse, scaled_root
+from jaxtrack.numerics.definite import (
+    definite_inverse,
+    rounding_floor,
+    scaled_cholesky,
+    scaled_inverse,
+    scaled_root,
+)
 from jaxtrack.numerics.masked import (
     masked_argmax,
     masked_argmin,
@@ -28,6 +34,7 @@ from jaxtrack.numerics.safe import (
     safe_max,
     safe_min,
     safe_norm,
+    safe_sinc,
     safe_sqrt,
     take_along,
     wrap_angle,
@@ -54,13 +61,16 @@ __all__ = [
     "masked_min",
     "masked_sum",
     "positive",
+    "rounding_floor",
     "safe_arctan2",
     "safe_divide",
     "safe_log",
     "safe_max",
     "safe_min",
     "safe_norm",
+    "safe_sinc",
     "safe_sqrt",
+    "scaled_cholesky",
     "scaled_inverse",
     "scaled_root",
     "simplex",

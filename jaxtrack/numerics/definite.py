@@ -1,4 +1,4 @@
-"""Inverse of small positive definite matrices, written out entry by entry.
+"""Inverse and roots of small positive definite matrices, written out entry by entry.
 
 A batch of small matrices through LAPACK blocks the CPU's worker threads (with jaxlib 0.10.2 a few
 hundred of them at once can hang the process); written out, the batch is plain vector arithmetic.
@@ -30,7 +30,7 @@ def definite_inverse(matrix: Array, *, floor: float = 1e-5) -> tuple[Array, Arra
         >>> print((3 * inverse).round(3).tolist(), bool(definite))
         [[2.0, -1.0], [-1.0, 2.0]] True
     """
-    root, definite = _inverse_root(matrix, floor)
+    _, root, definite = _cholesky(matrix, floor)
     return root.T @ root, definite
 
 
@@ -54,26 +54,56 @@ def scaled_inverse(matrix: Array) -> tuple[Array, Array]:
     return inverse * scale[:, None] * scale[None, :], definite & (diagonal > 0).all()
 
 
-def scaled_root(matrix: Array) -> tuple[Array, Array]:
+def scaled_root(matrix: Array, *, floor: float = 1e-5) -> tuple[Array, Array]:
     """Return R with Rᵀ R the inverse of a positive definite matrix of mixed units, and whether.
 
     If z is standard normal, Rᵀ z has the matrix for its information.
 
     Args:
         matrix: [n, n] symmetric, n small.
+        floor: least pivot of the matrix scaled to a unit diagonal.
 
     Example:
         >>> print(jnp.diagonal(scaled_root(jnp.array([[4.0, 0.0], [0.0, 0.01]]))[0]).round(1))
         [ 0.5 10. ]
     """
+    _, root, definite = scaled_cholesky(matrix, floor=floor)
+    return root, definite
+
+
+def scaled_cholesky(matrix: Array, *, floor: float = 1e-5) -> tuple[Array, Array, Array]:
+    """Return L and L⁻¹ of a positive definite matrix A = L Lᵀ of mixed units, and whether it is.
+
+    Args:
+        matrix: [n, n] symmetric, n small.
+        floor: least pivot of the matrix scaled to a unit diagonal.
+
+    Returns:
+        L [n, n] and L⁻¹ [n, n], lower triangular, and a flag, False where a pivot had to be raised.
+
+    Example:
+        >>> lower, inverse, _ = scaled_cholesky(jnp.array([[4.0, 2.0], [2.0, 10.0]]))
+        >>> print(lower.round(2).tolist(), jnp.allclose(lower @ inverse, jnp.eye(2), atol=1e-6))
+        [[2.0, 0.0], [1.0, 3.0]] True
+    """
     diagonal = jnp.diagonal(matrix)
     scale = jax.lax.rsqrt(jnp.where(diagonal > 0, diagonal, 1.0))
-    root, definite = _inverse_root(matrix * scale[:, None] * scale[None, :], 1e-5)
-    return root * scale[None, :], definite & (diagonal > 0).all()
+    lower, inverse, definite = _cholesky(matrix * scale[:, None] * scale[None, :], floor)
+    return lower / scale[:, None], inverse * scale[None, :], definite & (diagonal > 0).all()
 
 
-def _inverse_root(matrix: Array, floor: float) -> tuple[Array, Array]:
-    """Return L⁻¹ of A = L Lᵀ, and whether no pivot had to be raised."""
+def rounding_floor(matrix: Array) -> float:
+    """Return the least pivot of a matrix of unit diagonal that is more than rounding.
+
+    Example:
+        >>> 0 < rounding_floor(jnp.eye(2)) < 1e-5
+        True
+    """
+    return 8 * float(jnp.finfo(matrix.dtype).eps)
+
+
+def _cholesky(matrix: Array, floor: float) -> tuple[Array, Array, Array]:
+    """Return L and L⁻¹ of A = L Lᵀ, and whether no pivot had to be raised."""
     n = matrix.shape[0]
     lower: list[list[Array]] = [[jnp.zeros((), matrix.dtype)] * n for _ in range(n)]
     inverse: list[list[Array]] = [[jnp.zeros((), matrix.dtype)] * n for _ in range(n)]
@@ -90,5 +120,5 @@ def _inverse_root(matrix: Array, floor: float) -> tuple[Array, Array]:
         for i in range(j + 1, n):
             rest = sum(lower[i][k] * inverse[k][j] for k in range(j, i))
             inverse[i][j] = -rest / lower[i][i]
-    root = jnp.stack([jnp.stack(row) for row in inverse])
-    return root, definite
+    whole = lambda rows: jnp.stack([jnp.stack(row) for row in rows])
+    return whole(lower), whole(inverse), definite

@@ -120,6 +120,32 @@ def safe_arctan2(y: ArrayLike, x: ArrayLike) -> Array:
     return jnp.arctan2(jnp.where(origin, 0.0, y), jnp.where(origin, 1.0, x))
 
 
+def safe_sinc(x: ArrayLike) -> Array:
+    """Return sin(x)/x, 1 at zero, with derivatives that keep their precision near zero.
+
+    Args:
+        x: any shape, radians.
+
+    Example:
+        >>> [round(float(safe_sinc(x)), 4) for x in (0.0, jnp.pi / 2)]
+        [1.0, 0.6366]
+        >>> round(float(jax.grad(jax.grad(safe_sinc))(0.0)), 4)
+        -0.3333
+
+    Note:
+        Below ½ it is its series: there the derivative of the quotient is a difference of two large
+        numbers, cos(x)/x − sin(x)/x².
+    """
+    x = as_float(x)
+    near = jnp.abs(x) < 0.5
+    square = jnp.where(near, x, 0.0) ** 2
+    series = jnp.ones_like(x)
+    for k in range(14, 0, -2):  # the next term is below 0.5¹⁶ / 17!, which float64 cannot see
+        series = 1 - square * series / (k * (k + 1))
+    far = jnp.where(near, 1.0, x)
+    return jnp.where(near, series, jnp.sin(far) / far)
+
+
 def safe_min(x: ArrayLike, axis: int = -1) -> Array:
     """Minimum along an axis; the gradient goes to the first minimal entry alone.
 

@@ -6,7 +6,10 @@ import numpy as np
 
 
 def assert_gradients_agree(loss, *arguments, step=1e-5, rtol=1e-6, atol=1e-9):
-    """Compare `jit(grad(loss))` with central differences, entry by entry, in every argument."""
+    """Compare `jit(grad(loss))` with central differences, entry by entry, in every argument.
+
+    Returns the gradients.
+    """
     arguments = [np.asarray(argument, np.float64) for argument in arguments]
     everywhere = tuple(range(len(arguments)))
     gradients = jax.jit(jax.grad(loss, argnums=everywhere))(*map(jnp.asarray, arguments))
@@ -22,3 +25,4 @@ def assert_gradients_agree(loss, *arguments, step=1e-5, rtol=1e-6, atol=1e-9):
                 ends.append(float(value(*map(jnp.asarray, shifted))))
             expected[index] = (ends[0] - ends[1]) / (2 * step)
         np.testing.assert_allclose(gradients[place], expected, rtol=rtol, atol=atol)
+    return gradients

@@ -156,3 +156,22 @@ def test_wrapping_keeps_small_angles_bit_for_bit_and_has_gradient_one():
     angles = jnp.array([-40.0, -np.pi, -1e-20, 0.0, np.pi, 7.0])
     slope = jax.jit(jax.grad(lambda a: numerics.wrap_angle(a).sum()))(angles)
     np.testing.assert_array_equal(slope, np.ones(6))
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_sinc_and_its_slope_keep_their_precision_near_zero(dtype):
+    x = np.concatenate([[0.0], 10.0 ** np.arange(-8.0, 1.0), [0.4999, 0.5001, 3.0, 40.0]])
+    x = np.concatenate([x, -x]).astype(dtype)
+    wide = x.astype(np.longdouble)
+    term, value, slope = np.ones_like(wide), np.ones_like(wide), np.zeros_like(wide)
+    for k in range(2, 40, 2):  # the series, in more digits than either dtype has
+        term = term * -wide * wide / (k * (k + 1))
+        value, slope = value + term, slope + k * term / np.where(wide == 0, 1, wide)
+    near = np.abs(x) < 5
+    got = np.asarray(jax.jit(numerics.safe_sinc)(x))
+    steep = np.asarray(jax.jit(jax.grad(lambda x: numerics.safe_sinc(x).sum()))(x))
+    assert got.dtype == steep.dtype == dtype
+    eps = np.finfo(dtype).eps
+    np.testing.assert_allclose(got[near], value[near].astype(float), rtol=4 * eps)
+    np.testing.assert_allclose(steep[near], slope[near].astype(float), rtol=40 * eps)
+    np.testing.assert_allclose(got[~near], np.sin(x[~near]) / x[~near], rtol=4 * eps)
