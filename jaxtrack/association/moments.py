@@ -72,7 +72,7 @@ def update_mixture(
     spread = _weighted_outer(beta, y[0] - ybar[0][:, None], y[1] - ybar[1][:, None])
     missed = _weighted_outer(association.miss[:, None], ybar[0][:, None], ybar[1][:, None])
     noise = tuple((beta * one).sum(-1) for one in _sandwich(found.inverse, found.noise_m2))
-    middle = [sum(parts) for parts in zip(spread, missed, noise, strict=True)]
+    middle = [a + b + c for a, b, c in zip(spread, missed, noise, strict=True)]
     if scan.covariance_m2 is not None:
         # Gains differ from detection to detection: their scatter about the mean gain.
         apart = tuple(
