@@ -42,8 +42,8 @@ def independent(
     """
     gated = gate(predicted, scan, params.gate)
     if scan.mask.shape[0] == 0:
-        return _of(jnp.zeros(0, jnp.int32), gated)
-    nearest = masked_argmin(gated.squared_distance, gated.inside)
+        return _of(jnp.full(gated.inside.shape[0], -1, jnp.int32), gated)
+    nearest = masked_argmin(gated.squared_distance, gated.inside).astype(jnp.int32)
     return _of(jnp.where(gated.inside.any(-1), nearest, -1), gated)
 
 
@@ -126,6 +126,7 @@ def greedy_pairs(distance: Array, allowed: Array) -> Array:
         [ 0 -1]
     """
     rows, columns = distance.shape
+    every_row, every_column = (jnp.arange(n, dtype=jnp.int32) for n in (rows, columns))
     if rows == 0 or columns == 0:
         return jnp.full(rows, -1, jnp.int32)
     distance = jax.lax.stop_gradient(distance)
@@ -135,7 +136,7 @@ def greedy_pairs(distance: Array, allowed: Array) -> Array:
         best = masked_argmin(distance.reshape(-1), open_.reshape(-1)).astype(jnp.int32)
         row, column = best // columns, best % columns
         some = open_.any()
-        mine, theirs = jnp.arange(rows) == row, jnp.arange(columns) == column
+        mine, theirs = every_row == row, every_column == column
         found = jnp.where(mine & some, column, found)
         return found, open_ & ~mine[:, None] & ~theirs[None, :]
 
@@ -145,8 +146,7 @@ def greedy_pairs(distance: Array, allowed: Array) -> Array:
 
 def _of(columns: Array, gated: Gated) -> Association:
     """Return the one-hot association in which track j takes detection columns[j], if inside."""
-    tracks, detections = gated.inside.shape
-    columns = jnp.broadcast_to(columns, (tracks,)) if columns.shape[0] else jnp.full(tracks, -1)
-    taken = (jnp.arange(detections)[None, :] == columns[:, None]) & gated.inside
+    every = jnp.arange(gated.inside.shape[1], dtype=jnp.int32)
+    taken = (every[None, :] == columns[:, None]) & gated.inside
     weight = taken.astype(gated.density_per_m2.dtype)
     return Association(weight, 1 - weight.sum(-1), jnp.asarray(True))
