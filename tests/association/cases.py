@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from jaxtrack.association import AssociationParams, predict_measurement
 from jaxtrack.types import Scan
 
-SIZES = ((3, 5, True), (4, 4, False))  # tracks, detections, with weights and covariances of its own
+SIZES = ((3, 5, True), (2, 3, False))  # tracks, detections, with weights and covariances of its own
 KINDS = ("plain", "coincident", "far", "no detections", "no tracks")
 
 
@@ -60,9 +60,8 @@ def case(seed, size=SIZES[0], kind="plain", whole=False):
         np.where(there[:, None, None], own, np.nan) if full else None,
         np.where(there, weight, np.nan) if full else None,
     )
-    params = AssociationParams(
-        *map(np.array, (rng.uniform(0.5, 1), rng.uniform(0.01, 0.1), 9.21, 2.5))
-    )
+    numbers = np.full(tracks, rng.uniform(0.5, 1.0)), rng.uniform(0.01, 0.1), 9.21, 2.5
+    params = AssociationParams(*map(np.array, numbers))
     return Case(
         np.where(mask[:, None], mean, np.nan),
         np.where(mask[:, None, None], covariance, np.nan),

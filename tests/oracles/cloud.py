@@ -52,9 +52,7 @@ def cmeans(samples, start, allowed, centres, xi, tolerance, iterations):
         clouds, u = [], np.zeros((len(centres), len(samples)))
         objective = 0.0
         for k, members in enumerate(classes):
-            cloud = list(
-                zip(centres[k], [0.0] * len(centres[k]), [0.0] * len(centres[k]), strict=True)
-            )
+            cloud = [(centre, 0.0, 0.0) for centre in centres[k]]
             if members:
                 weights = [samples[i][1] for i in members]
                 cloud = [
