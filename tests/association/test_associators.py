@@ -16,7 +16,6 @@ from jaxtrack.association import (
     cloud,
     gate,
     likelihood_ratios,
-    nearest,
     predict_measurement,
     update_centroid,
     update_mixture,
@@ -28,6 +27,7 @@ from tests.oracles import jpda as enumeration
 
 several = settings(max_examples=80, deadline=None, derandomize=True, database=None)
 KEY = jax.random.key(3)
+slow = pytest.mark.slow  # compiles for long where nothing is cached
 EXCLUSIVE = ("greedy", "optimal", "jpda")
 SINGLE = ("cloud", "cloud_nearest", "cloud_averaged", "cloud_soft")
 SHARED = ("pmht",)
@@ -211,6 +211,7 @@ def test_a_target_that_cannot_be_seen_takes_nothing():
         assert found[name][0].miss[0] == 1
 
 
+@slow
 def test_a_batch_in_single_precision_is_the_loop_in_double():
     ones = [case(seed) for seed in range(8)]
     single = lambda *x: np.stack(x).astype(np.float32 if x[0].dtype == np.float64 else x[0].dtype)
@@ -265,26 +266,25 @@ def parts(one, gate):
     return [one.mean, roots(one), one.noise_m2, one.scan.position_m, one.scan.weight, numbers]
 
 
-@pytest.mark.parametrize(("size", "names"), [(SIZES[0], SMOOTH), (SIZES[1], ("pda", "pmht"))])
-def test_jitted_gradients_are_central_differences(size, names):
-    one = case(11, size, whole=True)
+@slow
+def test_jitted_gradients_are_central_differences():
+    one = case(11, whole=True)
     arguments = parts(one, 100.0)  # a wide gate: nothing crosses it
     rest = one.scan, one.mask
-    found = gradient(*arguments, *rest, names=names)
+    found = gradient(*arguments, *rest, names=SMOOTH)
     for place, argument in enumerate(arguments):
-        if argument is None:
-            continue
         for index in np.ndindex(argument.shape):
             ends = []
             for step in (1e-5, -1e-5):
                 moved = argument.copy()
                 moved[index] += step
                 changed = [*arguments[:place], moved, *arguments[place + 1 :]]
-                ends.append(float(value(*changed, *rest, names=names)))
+                ends.append(float(value(*changed, *rest, names=SMOOTH)))
             expected = (ends[0] - ends[1]) / 2e-5
             np.testing.assert_allclose(found[place][index], expected, rtol=1e-6, atol=1e-7)
 
 
+@slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_gradients_are_finite_whatever_is_there(kind):
     for seed in range(10):
@@ -348,7 +348,7 @@ def test_errors_name_the_argument():
         cloud.sampled(predicted, one.scan, one.params)
     with pytest.raises(ValueError, match="pairing: got 'closest'"):
         cloud.averaged(predicted, one.scan, one.params, pairing="closest")
-    taken = nearest.greedy(predicted, one.scan, one.params)
+    taken = Association(np.zeros((3, 5)), np.ones(3), np.array(True))
     with pytest.raises(ValueError, match="noise: got 'own'"):
         update_centroid(one.mean, one.covariance, predicted, one.scan, taken, noise="own")
     with pytest.raises(ValueError, match=r"covariance: got shape \[3, 2, 2\], want \[3, 4, 4\]"):
