@@ -6,6 +6,7 @@
     models        how targets move and how they are seen
     clustering    fuzzy clustering of weighted samples
     filtering     recursive estimators
+    association   which detections are which track's
     montecarlo    any of it, for thousands of trials in one compiled program
     studies       scenes × methods × tables
     plots         figures of all of it
@@ -34,6 +35,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from jaxtrack import (
+    association,
     clustering,
     filtering,
     hough,
@@ -79,6 +81,7 @@ __all__ = [
     "Tracks",
     "Truth",
     "WindowEstimator",
+    "association",
     "clustering",
     "filtering",
     "hough",

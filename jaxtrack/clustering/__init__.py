@@ -1,8 +1,10 @@
 """Clustering of weighted samples, differentiable through the fixed point.
 
-`fuzzy_cmeans` finds a given number of patterns, `isodata` their number as well.
+`fuzzy_cmeans` finds a given number of patterns, `isodata` their number as well. `cloud` has the
+cloud model, whose classes are fuzzy and random, and C-means on it.
 """
 
+from jaxtrack.clustering import cloud
 from jaxtrack.clustering.fuzzy_cmeans import CMeans, fuzzy_cmeans, memberships, update
 from jaxtrack.clustering.isodata import (
     Isodata,
@@ -23,6 +25,7 @@ __all__ = [
     "IsodataParams",
     "IsodataSizes",
     "Partition",
+    "cloud",
     "delete",
     "divide",
     "farthest_first",

@@ -1,0 +1,46 @@
+"""Data association: which detections of a look are which track's.
+
+    predict_measurement ──► associate ──► update
+       mean, covariance      Association    mean, covariance
+
+Every `associate(predicted, scan, params, key)` is one look of one realization, with tables of
+fixed size. One detection a track at most: `nearest`, `pda`, `jpda` (exact, at most 10 tracks),
+`belief_propagation` (any number), updated by `update_mixture`. Several echoes a track: `cloud`
+(the cloud model) and `pmht`, updated by `update_centroid`. `ASSOCIATORS` has them by name.
+"""
+
+from jaxtrack.association import belief_propagation, cloud, jpda, nearest, pda, pmht
+from jaxtrack.association.associators import ASSOCIATORS, Associator, Update
+from jaxtrack.association.gating import (
+    Associate,
+    Association,
+    AssociationParams,
+    Gated,
+    Predicted,
+    gate,
+    likelihood_ratios,
+    predict_measurement,
+)
+from jaxtrack.association.moments import update_centroid, update_mixture
+
+__all__ = [
+    "ASSOCIATORS",
+    "Associate",
+    "Association",
+    "AssociationParams",
+    "Associator",
+    "Gated",
+    "Predicted",
+    "Update",
+    "belief_propagation",
+    "cloud",
+    "gate",
+    "jpda",
+    "likelihood_ratios",
+    "nearest",
+    "pda",
+    "pmht",
+    "predict_measurement",
+    "update_centroid",
+    "update_mixture",
+]

@@ -1,0 +1,50 @@
+"""An associator with the update that goes with it, and all of them by name."""
+
+import functools
+from typing import NamedTuple, Protocol
+
+from jaxtrack.association import belief_propagation, cloud, jpda, nearest, pda, pmht
+from jaxtrack.association.gating import Associate, Association, Predicted
+from jaxtrack.association.moments import update_centroid, update_mixture
+from jaxtrack.types import Array, Scan
+
+
+class Update(Protocol):
+    """A Kalman update from an association."""
+
+    def __call__(
+        self,
+        mean: Array,
+        covariance: Array,
+        predicted: Predicted,
+        scan: Scan,
+        association: Association,
+    ) -> tuple[Array, Array]:
+        """Return means [T, S] and covariances [T, S, S]."""
+        ...
+
+
+class Associator(NamedTuple):
+    """What a tracker asks of data association. Static: functions only."""
+
+    associate: Associate
+    update: Update
+
+
+_single = functools.partial(update_centroid, noise="single")
+_nearest_centre = functools.partial(cloud.sampled, pairing="nearest")
+
+ASSOCIATORS: dict[str, Associator] = {
+    "nearest": Associator(nearest.independent, update_mixture),
+    "greedy": Associator(nearest.greedy, update_mixture),
+    "optimal": Associator(nearest.optimal, update_mixture),
+    "pda": Associator(pda.associate, update_mixture),
+    "jpda": Associator(jpda.associate, update_mixture),
+    "belief_propagation": Associator(belief_propagation.associate, update_mixture),
+    "cloud": Associator(cloud.sampled, _single),
+    "cloud_nearest": Associator(_nearest_centre, _single),
+    "cloud_averaged": Associator(cloud.averaged, _single),
+    "cloud_soft": Associator(cloud.soft, _single),
+    "pmht": Associator(pmht.associate, update_centroid),
+}
+"""All associators with their updates; the clouds with the paper's noise of a single echo."""

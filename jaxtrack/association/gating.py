@@ -1,0 +1,249 @@
+"""Which detections of a look a track may take, and how likely they are.
+
+    d²_ij = v_ijᵀ S_ij⁻¹ v_ij < γ,    v_ij = z_i − ẑ_j,    S_ij = H P_j Hᵀ + R_i
+
+All associators are functions of the predicted tracks and one look, with one signature
+(`Associate`) and one kind of answer (`Association`). Tracks and detections stand in tables of
+fixed size; what is masked, has weight 0 or belongs to an invalid look is outside every gate.
+"""
+
+from typing import NamedTuple, Protocol
+
+import jax.numpy as jnp
+
+from jaxtrack.numerics.checks import check_array
+from jaxtrack.types import Array, Key, Scan
+
+
+class AssociationParams(NamedTuple):
+    """What associators know of a sensor. Traced; each reads what its equations need."""
+
+    p_detect: Array | float  # [] or [T] probability that a target is detected in this look
+    clutter_per_m2: Array | float  # [] β, expected false detections a square metre
+    gate: Array | float = 9.21  # [] γ, squared Mahalanobis distance; 9.21 holds 99 % in 2-D
+    echoes: Array | float = 1.0  # [] λ, mean number of echoes of a detected target
+
+
+class Predicted(NamedTuple):
+    """Where the tracks are expected in a look; T slots."""
+
+    position_m: Array  # [T, 2] ẑ
+    covariance_m2: Array  # [T, 2, 2] H P Hᵀ, without the measurement's noise
+    noise_m2: Array  # [2, 2] R, where a scan has no covariances of its own
+    mask: Array  # [T]
+
+
+class Association(NamedTuple):
+    """How far each detection is each track's."""
+
+    weight: Array  # [T, M] in [0, 1]; zero outside the gate and in empty slots
+    miss: Array  # [T] probability that none is the track's; 1 in empty slots
+    converged: Array  # [] False: an iteration ended before it settled
+
+
+class Associate(Protocol):
+    """An associator: a function of one look, without a memory."""
+
+    def __call__(
+        self, predicted: Predicted, scan: Scan, params: AssociationParams, key: Key | None = None
+    ) -> Association:
+        """Associate the tracks with the detections; only the sampled ones read the key."""
+        ...
+
+
+class Innovations(NamedTuple):
+    """Differences z − ẑ, and what is known of them, entry by entry; finite behind every mask."""
+
+    x_m: Array  # [T, M]
+    y_m: Array  # [T, M]
+    noise_m2: tuple[Array, Array, Array]  # R: xx, xy, yy, each [1, M] or [1, 1]
+    inverse: tuple[Array, Array, Array]  # S⁻¹: xx, xy, yy, each [T, M] or [T, 1]
+    determinant: Array  # det S, [T, M] or [T, 1]
+    present: Array  # [T, M] track and detection exist, S is positive definite
+    weight: Array  # [1, M] of the detections
+
+
+class Gated(NamedTuple):
+    """What the gate leaves."""
+
+    squared_distance: Array  # [T, M] d²; 0 where there is no pair
+    inside: Array  # [T, M]
+    density_per_m2: Array  # [T, M] detection's weight × N(z; ẑ, S); zero outside the gate
+
+
+def predict_measurement(
+    mean: Array, covariance: Array, noise_m2: Array, mask: Array | None = None
+) -> Predicted:
+    """Return where tracks are expected: ẑ = H x, H P Hᵀ, with H x the first two entries of x.
+
+    Args:
+        mean: [T, S] predicted states, position first, in m.
+        covariance: [T, S, S].
+        noise_m2: [2, 2] R, covariance of one detection.
+        mask: [T] which slots hold a track; all by default.
+
+    Raises:
+        ValueError: shapes do not fit.
+        TypeError: not real numbers.
+
+    Example:
+        >>> predicted = predict_measurement(jnp.ones((1, 4)), jnp.eye(4)[None], jnp.eye(2))
+        >>> print(predicted.position_m)
+        [[1. 1.]]
+
+    Source: clustering cloud-like model (2019), equations 5 and 7.
+    """
+    check_array("mean", mean, shape=("T", "S"))
+    tracks, size = mean.shape
+    check_array("covariance", covariance, shape=(tracks, size, size))
+    check_array("noise_m2", noise_m2, shape=(2, 2))
+    mask = jnp.ones(tracks, bool) if mask is None else mask
+    check_array("mask", mask, shape=(tracks,))
+    return Predicted(mean[:, :2], covariance[:, :2, :2], jnp.asarray(noise_m2, mean.dtype), mask)
+
+
+def innovations(predicted: Predicted, scan: Scan) -> Innovations:
+    """Return z_i − ẑ_j and the inverse of S_ij for all pairs, 2 × 2 matrices written out.
+
+    Args:
+        predicted: T tracks.
+        scan: one look of M detections; its own covariances count, where it has them.
+
+    Raises:
+        ValueError: shapes do not fit.
+        TypeError: not real numbers.
+
+    Example:
+        >>> predicted = Predicted(jnp.zeros((1, 2)), jnp.eye(2)[None], jnp.eye(2), jnp.ones(1, bool))
+        >>> scan = Scan(jnp.array(0.0), jnp.array(True), jnp.ones((1, 2)), jnp.ones(1, bool))
+        >>> print(innovations(predicted, scan).x_m)
+        [[1.]]
+
+    Source: clustering cloud-like model (2019), equations 7 and 9.
+
+    Note:
+        A detection's delay is not looked at: tracks are predicted to the look's time.
+    """  # noqa: E501
+    check_array("predicted.position_m", predicted.position_m, shape=("T", 2))
+    tracks = predicted.position_m.shape[0]
+    check_array("predicted.covariance_m2", predicted.covariance_m2, shape=(tracks, 2, 2))
+    check_array("predicted.mask", predicted.mask, shape=(tracks,))
+    check_array("scan.position_m", scan.position_m, shape=("M", 2))
+    detections = scan.position_m.shape[0]
+    check_array("scan.mask", scan.mask, shape=(detections,))
+
+    dtype = predicted.position_m.dtype
+    there = predicted.mask.astype(bool)
+    counts = scan.mask.astype(bool) & scan.valid
+    if scan.weight is None:
+        weight = jnp.where(counts, jnp.ones(detections, dtype), 0.0)
+    else:
+        check_array("scan.weight", scan.weight, shape=(detections,))
+        weight = jnp.where(counts, scan.weight, 0.0)
+        counts = counts & (weight > 0)
+    z = jnp.where(counts[:, None], scan.position_m, 0.0)
+    expected = jnp.where(there[:, None], predicted.position_m, 0.0)
+    pair = there[:, None] & counts[None, :]
+    x, y = (jnp.where(pair, z[:, axis][None] - expected[:, axis][:, None], 0.0) for axis in (0, 1))
+
+    unit = jnp.eye(2, dtype=dtype)[None]
+    if scan.covariance_m2 is None:
+        r = predicted.noise_m2[None]
+    else:
+        check_array("scan.covariance_m2", scan.covariance_m2, shape=(detections, 2, 2))
+        r = jnp.where(counts[:, None, None], scan.covariance_m2, unit)
+    v = jnp.where(there[:, None, None], predicted.covariance_m2, unit)
+    noise = r[:, 0, 0][None], r[:, 0, 1][None], r[:, 1, 1][None]
+    xx = v[:, 0, 0][:, None] + noise[0]
+    xy = v[:, 0, 1][:, None] + noise[1]
+    yy = v[:, 1, 1][:, None] + noise[2]
+    determinant = xx * yy - xy * xy
+    definite = (determinant > 0) & (xx > 0)
+    determinant = jnp.where(definite, determinant, 1.0)
+    inverse = yy / determinant, -xy / determinant, xx / determinant
+    return Innovations(x, y, noise, inverse, determinant, pair & definite, weight[None])
+
+
+def gate(predicted: Predicted, scan: Scan, gate: Array | float = 9.21) -> Gated:
+    """Return squared Mahalanobis distances, which of them are inside the gate, and densities.
+
+        d² = vᵀ S⁻¹ v < γ,    w N(v; 0, S) = w exp(−d²/2) / (2π √det S)
+
+    Args:
+        predicted: T tracks.
+        scan: one look of M detections.
+        gate: γ.
+
+    Raises:
+        ValueError: shapes do not fit.
+        TypeError: not real numbers.
+
+    Example:
+        >>> predicted = Predicted(jnp.zeros((1, 2)), jnp.eye(2)[None], jnp.eye(2), jnp.ones(1, bool))
+        >>> places = jnp.array([[2.0, 0.0], [9.0, 0.0]])
+        >>> scan = Scan(jnp.array(0.0), jnp.array(True), places, jnp.ones(2, bool))
+        >>> gated = gate(predicted, scan)
+        >>> print(gated.squared_distance, gated.inside)
+        [[ 2.  40.5]] [[ True False]]
+
+    Source: clustering cloud-like model (2019), equation 9 and the sentence before it.
+    """  # noqa: E501
+    found = innovations(predicted, scan)
+    ixx, ixy, iyy = found.inverse
+    square = ixx * found.x_m**2 + 2 * ixy * found.x_m * found.y_m + iyy * found.y_m**2
+    inside = found.present & (square < jnp.asarray(gate, square.dtype))
+    # Far pairs would underflow: their density is not asked for.
+    near = jnp.where(inside, square, 0.0)
+    density = found.weight * jnp.exp(-near / 2) / (2 * jnp.pi * jnp.sqrt(found.determinant))
+    return Gated(square, inside, jnp.where(inside, density, 0.0))
+
+
+def likelihood_ratios(
+    predicted: Predicted, scan: Scan, params: AssociationParams
+) -> tuple[Array, Array]:
+    """Return how likely each pair is against clutter, [T, M], and a missed detection, [T].
+
+        w_ij = P_D N(z_i; ẑ_j, S_ij) / β,    w_0 = 1 − P_D P_G,    P_G = 1 − exp(−γ/2)
+
+    Args:
+        predicted: T tracks.
+        scan: one look of M detections; weights multiply the densities.
+        params: detection probability, clutter and gate; β below 1e-30 acts as 1e-30.
+
+    Example:
+        >>> predicted = Predicted(jnp.zeros((1, 2)), jnp.eye(2)[None], jnp.eye(2), jnp.ones(1, bool))
+        >>> scan = Scan(jnp.array(0.0), jnp.array(True), jnp.zeros((1, 2)), jnp.ones(1, bool))
+        >>> ratio, miss = likelihood_ratios(predicted, scan, AssociationParams(0.9, 1e-3))
+        >>> print(ratio.round(1), miss.round(3))
+        [[71.6]] [0.109]
+    """  # noqa: E501
+    gated = gate(predicted, scan, params.gate)
+    dtype = gated.density_per_m2.dtype
+    detect = detection_probability(predicted, params)
+    clutter = jnp.asarray(params.clutter_per_m2, dtype)
+    clutter = jnp.where(clutter > 1e-30, clutter, jnp.asarray(1e-30, dtype))
+    in_gate = -jnp.expm1(-jnp.asarray(params.gate, dtype) / 2)
+    return detect[:, None] * gated.density_per_m2 / clutter, 1 - detect * in_gate
+
+
+def detection_probability(predicted: Predicted, params: AssociationParams) -> Array:
+    """Return P_D of each slot, [T]; zero where there is no track.
+
+    Example:
+        >>> predicted = Predicted(jnp.zeros((2, 2)), jnp.zeros((2, 2, 2)), jnp.eye(2),
+        ...                       jnp.array([True, False]))
+        >>> print(detection_probability(predicted, AssociationParams(0.5, 1e-3)))
+        [0.5 0. ]
+    """
+    detect = jnp.asarray(params.p_detect, predicted.position_m.dtype)
+    return jnp.where(predicted.mask, jnp.broadcast_to(detect, predicted.mask.shape), 0.0)
+
+
+def from_marginals(marginals: Array) -> Association:
+    """Return the association of marginal probabilities [T, M + 1], the last column the miss.
+
+    Example:
+        >>> print(from_marginals(jnp.array([[0.25, 0.75]])).miss)
+        [0.75]
+    """
+    return Association(marginals[:, :-1], marginals[:, -1], jnp.asarray(True))
