@@ -252,6 +252,6 @@ STUDY = Study(
     trials_short=20,
     trials_full=1200,
     seconds_short=120.0,
-    seconds_full=3000.0,
+    seconds_full=2400.0,
     run=run,
 )
