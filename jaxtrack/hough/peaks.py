@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxtrack.hough.grid import Grid, Sizes, centre_of, steps
-from jaxtrack.hough.pairs import counting
 from jaxtrack.hough.votes import VoteKernel, Votes, evaluate, upper_bound
 from jaxtrack.models.line import line_difference, point_line_distance, wrap_line
 from jaxtrack.numerics.safe import safe_divide
@@ -213,7 +212,7 @@ def members(lines: Lines, scans: Scan, member_m: Array) -> Array:
         >>> print(members(lines, scans, 2.0))
         [[[ True False]]]
     """
-    counts = counting(scans)
+    counts = scans.mask & scans.valid[:, None]
     position = jnp.where(counts[..., None], scans.position_m, 0.0)
     distance = jax.vmap(lambda rho, theta: point_line_distance(rho, theta, position))(
         lines.rho_m, lines.theta_rad

@@ -97,6 +97,7 @@ def test_a_batch_is_its_realizations():
     assert_rows_are_alone(run_all, several, PARAMS, Spread())
 
 
+@pytest.mark.slow  # compiles for long where nothing is cached
 def test_gradients_agree_with_central_differences():
     seen = np.ones(SIZE, bool)
     seen[[1, 4]] = False

@@ -104,7 +104,7 @@ METHODS = [
     "standard",
     "modified",
     "improved",
-    ("own_and_kernel_cell", "tolerance"),
+    pytest.param(("own_and_kernel_cell", "tolerance"), marks=pytest.mark.slow),
     ("spread", "tolerance"),
     ("spread", "covariance"),
 ]

@@ -123,6 +123,7 @@ def test_distant_pairs_equal_the_loop(scan):
     np.testing.assert_array_equal(states[len(expected) :], 0.0)
 
 
+@pytest.mark.slow  # tables of other sizes compile anew
 def test_a_table_too_small_says_so():
     scan = random_scene(0)
     states, mask, _ = distant_pairs(scan, SPEED, gap=GAP, hypotheses=128)
