@@ -239,6 +239,17 @@ def evidence(
         speed: admissible speeds.
         samples: how many, static.
         observation: the sensor's likelihood.
+
+    Example:
+        >>> from jaxtrack.models import PositionSensor
+        >>> scans = Scan(2.0 * jnp.arange(5.0), jnp.ones(5, bool),
+        ...              jnp.stack([400.0 * jnp.arange(5.0), jnp.full(5, 80.0)], -1)[:, None],
+        ...              jnp.ones((5, 1), bool))
+        >>> sensor = PositionSensor(p_detect=0.99, clutter_per_m2=1e-5, sigma_m=10.0)
+        >>> weigh = jax.jit(lambda state: evidence(state, scans, sensor, SpeedGate(), samples=256))
+        >>> mean, _, score, _ = weigh(jnp.array([1590.0, 90.0, 198.0, 2.0]))
+        >>> print(jnp.abs(mean - jnp.array([1600.0, 80.0, 200.0, 0.0])).max() < 5.0, score > 10.0)
+        True True
     """
     dtype = scans.time_s.dtype
     scans, _ = _cleaned(scans)

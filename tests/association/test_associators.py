@@ -106,6 +106,7 @@ def test_gates_and_associations_equal_the_loops(drawn):
         agree(name, as_table(taken, size))
 
 
+@pytest.mark.slow  # compiles for long where nothing is cached
 @several
 @given(cases())
 def test_updates_equal_the_moments_of_the_mixture_and_the_update_with_the_centroid(drawn):
@@ -157,6 +158,7 @@ def assert_same(found, expected, weights, states):
             close(states(a), b)
 
 
+@pytest.mark.slow  # compiles for long where nothing is cached
 @several
 @given(cases(), st.randoms(use_true_random=False))
 def test_the_order_of_detections_does_not_matter(drawn, random):

@@ -113,6 +113,7 @@ def test_a_batch_is_its_realizations():
     assert_rows_are_alone(run_all, several, PARAMS, SIGMAS)
 
 
+@pytest.mark.slow  # compiles for long where nothing is cached
 def test_gradients_agree_with_central_differences():
     seen, valid = np.ones((2, SIZE), bool)
     seen[[1, 4]], valid[6] = False, False
@@ -197,6 +198,7 @@ def manoeuvre(size):
     return np.arange(1.0, size + 1), np.stack(states)
 
 
+@pytest.mark.slow  # compiles for long where nothing is cached
 def test_ten_thousand_steps_in_float32():
     rng = np.random.default_rng(8)
     time_s, states = manoeuvre(LONG)

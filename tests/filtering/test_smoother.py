@@ -113,6 +113,7 @@ def test_gradients_agree_with_central_differences():
     assert all(np.abs(g).max() > 1e-3 for g in gradients)
 
 
+@pytest.mark.slow  # compiles for long where nothing is cached
 def test_ten_thousand_steps_in_float32():
     wide, scans = long_looks()
     params = KalmanParams(wide, 0.05, 3.0)

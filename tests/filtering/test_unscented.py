@@ -190,6 +190,7 @@ def test_a_linear_function_is_itself():
     np.testing.assert_allclose(linear.excess, 0.0, atol=1e-24)
 
 
+@pytest.mark.slow  # compiles for long where nothing is cached
 def test_ten_thousand_steps_in_float32():
     start, scans, states = long_polar_looks()
     params = PolarParams(start, 5.0, 0.01)

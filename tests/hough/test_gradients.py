@@ -106,7 +106,7 @@ METHODS = [
     "improved",
     pytest.param(("own_and_kernel_cell", "tolerance"), marks=pytest.mark.slow),
     ("spread", "tolerance"),
-    ("spread", "covariance"),
+    pytest.param(("spread", "covariance"), marks=pytest.mark.slow),
 ]
 
 
@@ -154,6 +154,7 @@ def test_gradients_are_finite_on_degenerate_looks(name):
     assert all((g == 0.0).all() for g in gradient)
 
 
+@pytest.mark.slow  # compiles for long where nothing is cached
 def test_tolerances_of_zero_act_as_hard_votes_and_give_no_nan():
     """Traced, a tolerance cannot be refused: it must not poison a sweep or a step of tuning."""
     scans = Scan(
