@@ -25,7 +25,7 @@ from tests.oracles import association, pmht
 from tests.oracles import cloud as clouds
 from tests.oracles import jpda as enumeration
 
-several = settings(max_examples=80, deadline=None, derandomize=True, database=None)
+several = settings(max_examples=25, deadline=None, derandomize=True, database=None)
 KEY = jax.random.key(3)
 slow = pytest.mark.slow  # compiles for long where nothing is cached
 EXCLUSIVE = ("greedy", "optimal", "jpda")

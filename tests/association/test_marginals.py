@@ -13,7 +13,7 @@ from tests.oracles import association
 from tests.oracles import jpda as enumeration
 
 SHAPES = ((5, 6), (3, 2))  # tracks, detections
-few = settings(max_examples=40, deadline=None, derandomize=True, database=None)
+few = settings(max_examples=20, deadline=None, derandomize=True, database=None)
 exact = jax.jit(jpda.marginals)
 alone = jax.jit(pda.marginals)
 loopy = jax.jit(belief_propagation.marginals, static_argnames="iterations")
@@ -44,6 +44,7 @@ def test_exact_marginals_equal_the_enumeration_of_all_joint_events(problem):
     assert not got[:, :-1][ratio == 0].any()
 
 
+@pytest.mark.slow  # compiles for long where nothing is cached
 @few
 @given(problems)
 def test_order_of_tracks_and_detections_does_not_matter_and_padding_changes_nothing(problem):

@@ -125,6 +125,7 @@ def test_ten_thousand_steps_in_float32():
     assert_near(got, oracle.smooth(done))
 
 
+@pytest.mark.slow  # compiles for long where nothing is cached
 def test_a_batch_is_its_realizations():
     several = [position_looks(seed)[0] for seed in range(3)]
     assert_rows_are_alone(run_all, several, PARAMS)
