@@ -25,9 +25,10 @@ from tests.oracles import association, pmht
 from tests.oracles import cloud as clouds
 from tests.oracles import jpda as enumeration
 
+pytestmark = pytest.mark.slow  # compiles for a minute where nothing is cached
+
 several = settings(max_examples=25, deadline=None, derandomize=True, database=None)
 KEY = jax.random.key(3)
-slow = pytest.mark.slow  # compiles for long where nothing is cached
 EXCLUSIVE = ("greedy", "optimal", "jpda")
 SINGLE = ("cloud", "cloud_nearest", "cloud_averaged", "cloud_soft")
 SHARED = ("pmht",)
@@ -106,7 +107,6 @@ def test_gates_and_associations_equal_the_loops(drawn):
         agree(name, as_table(taken, size))
 
 
-@pytest.mark.slow  # compiles for long where nothing is cached
 @several
 @given(cases())
 def test_updates_equal_the_moments_of_the_mixture_and_the_update_with_the_centroid(drawn):
@@ -158,7 +158,6 @@ def assert_same(found, expected, weights, states):
             close(states(a), b)
 
 
-@pytest.mark.slow  # compiles for long where nothing is cached
 @several
 @given(cases(), st.randoms(use_true_random=False))
 def test_the_order_of_detections_does_not_matter(drawn, random):
@@ -213,7 +212,6 @@ def test_a_target_that_cannot_be_seen_takes_nothing():
         assert found[name][0].miss[0] == 1
 
 
-@slow
 def test_a_batch_in_single_precision_is_the_loop_in_double():
     ones = [case(seed) for seed in range(8)]
     single = lambda *x: np.stack(x).astype(np.float32 if x[0].dtype == np.float64 else x[0].dtype)
@@ -268,7 +266,6 @@ def parts(one, gate):
     return [one.mean, roots(one), one.noise_m2, one.scan.position_m, one.scan.weight, numbers]
 
 
-@slow
 def test_jitted_gradients_are_central_differences():
     one = case(11, whole=True)
     arguments = parts(one, 100.0)  # a wide gate: nothing crosses it
@@ -286,7 +283,6 @@ def test_jitted_gradients_are_central_differences():
             np.testing.assert_allclose(found[place][index], expected, rtol=1e-6, atol=1e-7)
 
 
-@slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_gradients_are_finite_whatever_is_there(kind):
     for seed in range(10):

@@ -27,6 +27,8 @@ from tests.filtering.looks import (
 from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import kalman as oracle
 
+pytestmark = pytest.mark.slow  # compiles for a minute where nothing is cached
+
 few = settings(max_examples=12, deadline=None, derandomize=True, database=None)
 flags = st.lists(st.booleans(), min_size=SIZE, max_size=SIZE)
 SIGMA_A, SIGMA_TURN = 0.5, 0.02

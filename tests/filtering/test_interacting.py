@@ -31,6 +31,8 @@ from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import interacting as oracle
 from tests.oracles import kalman as textbook
 
+pytestmark = pytest.mark.slow  # compiles for a minute where nothing is cached
+
 few = settings(max_examples=12, deadline=None, derandomize=True, database=None)
 flags = st.lists(st.booleans(), min_size=SIZE, max_size=SIZE)
 SWITCHING = np.array([[0.9, 0.04, 0.06], [0.1, 0.8, 0.1], [0.05, 0.05, 0.9]])
@@ -113,7 +115,6 @@ def test_a_batch_is_its_realizations():
     assert_rows_are_alone(run_all, several, PARAMS, SIGMAS)
 
 
-@pytest.mark.slow  # compiles for long where nothing is cached
 def test_gradients_agree_with_central_differences():
     seen, valid = np.ones((2, SIZE), bool)
     seen[[1, 4]], valid[6] = False, False
@@ -198,7 +199,6 @@ def manoeuvre(size):
     return np.arange(1.0, size + 1), np.stack(states)
 
 
-@pytest.mark.slow  # compiles for long where nothing is cached
 def test_ten_thousand_steps_in_float32():
     rng = np.random.default_rng(8)
     time_s, states = manoeuvre(LONG)

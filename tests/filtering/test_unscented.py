@@ -26,6 +26,8 @@ from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import kalman as textbook
 from tests.oracles import unscented as oracle
 
+pytestmark = pytest.mark.slow  # compiles for a minute where nothing is cached
+
 few = settings(max_examples=12, deadline=None, derandomize=True, database=None)
 flags = st.lists(st.booleans(), min_size=SIZE, max_size=SIZE)
 SIGMA_A, SIGMA_TURN = 0.5, 0.02
@@ -97,7 +99,6 @@ def test_a_batch_is_its_realizations():
     assert_rows_are_alone(run_all, several, PARAMS, Spread())
 
 
-@pytest.mark.slow  # compiles for long where nothing is cached
 def test_gradients_agree_with_central_differences():
     seen = np.ones(SIZE, bool)
     seen[[1, 4]] = False
@@ -190,7 +191,6 @@ def test_a_linear_function_is_itself():
     np.testing.assert_allclose(linear.excess, 0.0, atol=1e-24)
 
 
-@pytest.mark.slow  # compiles for long where nothing is cached
 def test_ten_thousand_steps_in_float32():
     start, scans, states = long_polar_looks()
     params = PolarParams(start, 5.0, 0.01)
