@@ -66,7 +66,15 @@ ESTIMATORS = {
         SIZES,
     ),
 }
-every_estimator = pytest.mark.parametrize("name", ESTIMATORS)
+# These differ from others by a rule or two, and compile as long.
+VARIANTS = ("neutrosophic, both cells", "neutrosophic, scaled", "improved, smoothed")
+every_estimator = pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name in VARIANTS else name
+        for name in ESTIMATORS
+    ],
+)
 
 
 traces = collections.Counter()
