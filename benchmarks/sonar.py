@@ -18,7 +18,7 @@ import numpy as np  # noqa: E402
 from scipy.special import ndtr  # noqa: E402
 
 from jaxtrack.clustering import fuzzy_cmeans  # noqa: E402
-from jaxtrack.hough import SpeedGate, clustering_statistic, joint, pack_detections  # noqa: E402
+from jaxtrack.hough import SpeedGate, clustering_statistic, joint  # noqa: E402
 from jaxtrack.hough.slope_intercept import (  # noqa: E402
     LineGrid,
     LineSizes,
@@ -30,7 +30,8 @@ from jaxtrack.hough.slope_intercept import (  # noqa: E402
 from jaxtrack.metrics import ospa  # noqa: E402
 from jaxtrack.models import BEAMS, BeamSensor  # noqa: E402
 from jaxtrack.montecarlo import monte_carlo  # noqa: E402
-from jaxtrack.sensors import motion_elements_scene, observe_beams, scan_of_beams  # noqa: E402
+from jaxtrack.sensors import motion_elements_scene, observe_beams  # noqa: E402
+from jaxtrack.studies.csht_trial import as_positions  # noqa: E402
 
 SEED, REALIZATIONS = 0, 4096
 LOOKS, POINTS = 20, 8  # a window with one false alarm a look
@@ -58,14 +59,19 @@ def pinned_seconds(run, repeats=5):
         os.sched_setaffinity(0, set(CORES))
 
 
+def on_all_devices(body, data):
+    """Return a function of a batch compiled for all devices, and the batch spread over them."""
+    mesh = jax.sharding.Mesh(np.array(jax.local_devices()), ("batch",))
+    spread = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("batch"))
+    run = jax.shard_map(
+        body, mesh=mesh, in_specs=spread.spec, out_specs=spread.spec, check_vma=False
+    )
+    return jax.jit(run), jax.device_put(data, spread)
+
+
 def beams(key, false_alarms):
     scene = motion_elements_scene()
     return scene, observe_beams(key, *scene, beams=90, false_alarms=false_alarms)
-
-
-def positions(scans, sonar, places):
-    found = jax.vmap(scan_of_beams, (0, None))(scans, sonar)
-    return pack_detections(found._replace(covariance_m2=None), places)[0]
 
 
 def position_error(scene, tracks):
@@ -77,7 +83,7 @@ def position_error(scene, tracks):
 
 def csht_realization(key, params):
     scene, scans = beams(key, "per_scan")
-    tracks, _ = clustering_statistic.estimate(positions(scans, scene.sonar, POINTS), params)
+    tracks, _ = clustering_statistic.estimate(as_positions(scans, scene.sonar, POINTS), params)
     return position_error(scene, tracks)
 
 
@@ -154,20 +160,12 @@ def votes():
         "hard": (lambda points: bincount_votes(points, grid, sizes), many, 3),
         "soft": (lambda points: direct_votes(points, grid, sigma, sizes), 64, 20),
     }
-    devices = jax.local_devices()
-    mesh = jax.sharding.Mesh(np.array(devices), ("window",))
-    spread = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("window"))
-    shared = jax.device_put(data, spread)
-    alone = jax.device_put(data, devices[0])
+    alone = jax.device_put(data, jax.local_devices()[0])
     for name, vote in ours.items():
         body = lambda points, vote=vote: jax.lax.map(vote, points)
-        everywhere = jax.jit(
-            jax.shard_map(
-                body, mesh=mesh, in_specs=spread.spec, out_specs=spread.spec, check_vma=False
-            )
-        )
+        everywhere, shared = on_all_devices(body, data)
         one_device = jax.jit(body)
-        first, each = seconds(lambda run=everywhere: run(shared))
+        first, each = seconds(lambda run=everywhere, shared=shared: run(shared))
         single = pinned_seconds(lambda run=one_device: run(alone))
         peer, count, aim = theirs[name]
         some = [Points(*(x[w] for x in data)) for w in range(count)]
@@ -191,14 +189,9 @@ def cmeans():
     start = rng.normal(5.0, 4.0, (many, CLUSTERS, 2)).astype(np.float32)
     weights = jnp.ones(SAMPLES, jnp.float32)
     one = lambda x, z: fuzzy_cmeans(x, weights, z, tolerance=0.0, iterations=ROUNDS).centres
-    mesh = jax.sharding.Mesh(np.array(jax.local_devices()), ("set",))
-    spread = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("set"))
-    body = lambda x, z: jax.lax.map(lambda at: one(*at), (x, z), batch_size=32)
-    run = jax.jit(
-        jax.shard_map(body, mesh=mesh, in_specs=spread.spec, out_specs=spread.spec, check_vma=False)
-    )
-    data = jax.device_put((samples, start), spread)
-    first, each = seconds(lambda: run(*data))
+    body = lambda sets: jax.lax.map(lambda at: one(*at), sets, batch_size=32)
+    run, data = on_all_devices(body, (samples, start))
+    first, each = seconds(lambda: run(data))
     first_of = lambda w: peer(
         samples[w].T, CLUSTERS, 2.0, error=0.0, maxiter=ROUNDS, init=None, seed=SEED
     )
@@ -218,7 +211,7 @@ def gradient():
 
     def window(key):
         scene, scans = beams(key, "per_scan")
-        return positions(scans, scene.sonar, POINTS)
+        return as_positions(scans, scene.sonar, POINTS)
 
     keys = jax.random.split(jax.random.key(SEED), many)
     scans = jax.jit(jax.vmap(window))(keys)

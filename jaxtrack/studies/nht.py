@@ -200,6 +200,6 @@ STUDY = Study(
     trials_short=50,
     trials_full=2000,
     seconds_short=170.0,
-    seconds_full=2700.0,
+    seconds_full=3300.0,
     run=run,
 )
