@@ -10,6 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxtrack.numerics.checks import check_known, check_positive, check_size
 from jaxtrack.types import Array, Estimator
 
 
@@ -41,6 +42,9 @@ def update(
         measurement: [D] z.
         forgetting: [] f in (0, 1]; 1 forgets nothing.
 
+    Raises:
+        ValueError: a known forgetting factor outside (0, 1].
+
     Example:
         >>> state = RlsState(jnp.zeros((1, 1)), 1e6 * jnp.eye(1))
         >>> for z in (4.0, 6.0):
@@ -48,6 +52,8 @@ def update(
         >>> print(state.coefficients.round(2))
         [[5.]]
     """
+    want = "a factor above 0 and at most 1"
+    check_known("forgetting", forgetting, lambda f: (f > 0) & (f <= 1), want)
     f = jnp.asarray(forgetting, regressors.dtype)
     reach = state.inverse @ regressors
     gain = reach / (f + regressors @ reach)
@@ -74,6 +80,10 @@ def rls(
         forgetting: [] f in (0, 1].
         initial_variance: [] δ; P starts as δ I and B as zero.
 
+    Raises:
+        TypeError: a size is not a Python int.
+        ValueError: a size is too small, or a known number cannot be.
+
     Returns:
         An estimator over `RlsInput`, whose info is the fitted measurement Bᵀ φ, [D]. A masked
         measurement changes nothing.
@@ -86,9 +96,11 @@ def rls(
         >>> print(state.coefficients.round(2).ravel())
         [5. 2.]
     """  # noqa: E501
+    for name, size in (("regressors", regressors), ("dimensions", dimensions)):
+        check_size(name, size)
+    variance = check_positive("initial_variance", initial_variance, jnp.result_type(float))
 
     def init(key: Array) -> RlsState:
-        variance = jnp.asarray(initial_variance, jnp.result_type(float))
         zero = jnp.zeros((regressors, dimensions), variance.dtype)
         return RlsState(zero, variance * jnp.eye(regressors, dtype=variance.dtype))
 

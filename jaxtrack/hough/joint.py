@@ -93,7 +93,8 @@ def estimate(
 
     Raises:
         TypeError: a size is not a Python int.
-        ValueError: a size is too small, or there are not more than `sizes.gap` looks.
+        ValueError: a size is too small, there are not more than `sizes.gap` looks, or a known value
+            of looks, sensor or speeds cannot be.
 
     Example:
         >>> scans = Scan(2.0 * jnp.arange(5.0), jnp.ones(5, bool),
@@ -109,6 +110,7 @@ def estimate(
     for name, value in zip(JointSizes._fields, sizes, strict=True):
         if value is not None:
             check_size(f"sizes.{name}", value, at_least=0 if name == "samples" else 1)
+    scans = observation.check(scans, params.sensor)
     dtype = scans.time_s.dtype
     sensor = jax.tree.map(lambda x: jnp.asarray(x, dtype), params.sensor)
     gate = jnp.asarray(params.gate, dtype)

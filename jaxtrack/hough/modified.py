@@ -6,9 +6,9 @@ import jax.numpy as jnp
 
 from jaxtrack.hough.grid import Grid, Sizes, check_sizes
 from jaxtrack.hough.pairs import Pairs, SpeedGate, candidate_pairs
-from jaxtrack.hough.peaks import HoughInfo, Peaks, extract, inform
+from jaxtrack.hough.peaks import HoughInfo, Peaks, check_extraction, extract, inform
 from jaxtrack.hough.votes import VoteKernel, Votes, hard, soft
-from jaxtrack.numerics.checks import check_positive
+from jaxtrack.numerics.checks import check_positive, check_scans
 from jaxtrack.types import Array, Key, Lines, Scan
 
 
@@ -78,6 +78,8 @@ def vote_once(
 ) -> tuple[Lines, HoughInfo]:
     """Let every pair that passes the speed gate vote once; hard without tolerances, else soft."""
     check_sizes(sizes)
+    scans = check_scans(scans)
+    check_extraction(grid, peaks)
     dtype = scans.position_m.dtype
     pairs = candidate_pairs(scans, jnp.asarray(grid.origin_m, dtype), speed, pairs=sizes.pairs)
     votes = pair_votes(pairs)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from jaxtrack.hough.grid import Grid, Sizes, check_sizes
 from jaxtrack.hough.pairs import Pairs, SpeedGate, candidate_pairs, pair_covariances
-from jaxtrack.hough.peaks import HoughInfo, Peaks, extract, inform
+from jaxtrack.hough.peaks import HoughInfo, Peaks, check_extraction, extract, inform
 from jaxtrack.hough.votes import (
     VoteKernel,
     Votes,
@@ -24,7 +24,13 @@ from jaxtrack.hough.votes import (
     soft,
 )
 from jaxtrack.models.line import line_difference, line_through, wrap_line
-from jaxtrack.numerics.checks import check_choice, check_positive
+from jaxtrack.numerics.checks import (
+    check_choice,
+    check_known,
+    check_positive,
+    check_probability,
+    check_scans,
+)
 from jaxtrack.numerics.choice import choose, greater, step
 from jaxtrack.numerics.safe import safe_divide, safe_sqrt
 from jaxtrack.types import Array, Key, Lines, Scan
@@ -187,7 +193,8 @@ def estimate(
         rules: static rules.
 
     Raises:
-        ValueError: an unknown landing or scale.
+        ValueError: an unknown landing or scale, a shape that does not fit, or a known value that
+            cannot be.
 
     Example:
         >>> scans = Scan(jnp.arange(3.0), jnp.ones(3, bool),
@@ -230,10 +237,19 @@ def _estimate(
     check_sizes(sizes)
     check_choice("rules.landing", rules.landing, LANDINGS)
     check_choice("rules.scale", rules.scale, SCALES)
+    scans = check_scans(scans)
+    check_extraction(params.grid, params.peaks)
     dtype = scans.position_m.dtype
     eps_rho = check_positive("params.eps_rho_m", params.eps_rho_m, dtype)
     eps_theta = check_positive("params.eps_theta_rad", params.eps_theta_rad, dtype)
-    params = params._replace(eps_rho_m=eps_rho, eps_theta_rad=eps_theta)
+    sigma = check_positive("params.sigma_m", params.sigma_m, dtype)
+    p_false = check_probability("params.p_false", params.p_false, dtype)
+    p_gate = params.p_gate
+    check_known("params.p_gate", p_gate, lambda p: (p >= 0) & (p < 1), "a probability below 1")
+    check_known("params.adjustment", params.adjustment, lambda x: x >= 0, "a factor of at least 0")
+    params = params._replace(
+        eps_rho_m=eps_rho, eps_theta_rad=eps_theta, sigma_m=sigma, p_false=p_false
+    )
     if temperature is not None:
         temperature = check_positive("temperature", temperature, dtype)
     grid = params.grid

@@ -10,10 +10,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from jaxtrack.models.line import line_covariance, line_through
 from jaxtrack.models.motion import look_times
-from jaxtrack.numerics.checks import check_scans, check_size
+from jaxtrack.numerics.checks import check_known, check_scans, check_size
 from jaxtrack.types import Array, Scan
 
 
@@ -22,6 +23,22 @@ class SpeedGate(NamedTuple):
 
     v_min_m_s: Array | float = 100.0
     v_max_m_s: Array | float = 400.0
+
+
+def check_speeds(speed: SpeedGate) -> None:
+    """Check that known speeds are a range.
+
+    Raises:
+        ValueError: the least speed is negative, or the largest is not above it.
+
+    Example:
+        >>> check_speeds(SpeedGate(0.0, 6.0))
+    """
+    slowest, fastest = speed
+    check_known("speed.v_min_m_s", slowest, lambda v: v >= 0, "a speed of at least 0 m/s")
+    if not isinstance(slowest, Tracer):
+        want = f"more than v_min_m_s, {slowest:g}"
+        check_known("speed.v_max_m_s", fastest, lambda v: v > np.asarray(slowest), want)
 
 
 class Pairs(NamedTuple):
@@ -113,7 +130,7 @@ def candidate_pairs(scans: Scan, origin_m: Array, speed: SpeedGate | None, *, pa
         The table; `overflow` says that an interval had more pairs than fit.
 
     Raises:
-        ValueError: fewer than two looks.
+        ValueError: fewer than two looks, or a known value that cannot be.
 
     Example:
         >>> scans = Scan(jnp.array([0.0, 1.0]), jnp.ones(2, bool),
@@ -124,7 +141,7 @@ def candidate_pairs(scans: Scan, origin_m: Array, speed: SpeedGate | None, *, pa
 
     Source: neutrosophic Hough transform (2018), equations 4 and 20–22.
     """
-    check_scans(scans)
+    scans = check_scans(scans)
     check_size("number of looks", scans.mask.shape[0], at_least=2)
     counts = counting(scans)
     position = jnp.where(counts[..., None], scans.position_m, 0.0)
@@ -174,7 +191,7 @@ def distant_pairs(
         States [H, 4] at the time of the last look, a mask [H], and whether some did not fit.
 
     Raises:
-        ValueError: too few looks.
+        ValueError: too few looks, or a known value that cannot be.
 
     Example:
         >>> scans = Scan(jnp.array([0.0, 1.0]), jnp.ones(2, bool),
@@ -183,7 +200,7 @@ def distant_pairs(
         >>> print(states[0], mask)
         [  0. 200.   0. 200.] [ True False]
     """
-    check_scans(scans)
+    scans = check_scans(scans)
     looks, n = scans.mask.shape
     check_size("number of looks", looks, at_least=gap + 1)
     couples = [(k, k + g) for g in range(gap, looks) for k in range(looks - g)]
@@ -229,6 +246,7 @@ def _admissible(
     mask = counts[late, :, None] & counts[early, None, :] & (dt > 0) & (squared > 0)
     if speed is None:
         return mask
+    check_speeds(speed)
     slowest = jnp.asarray(speed.v_min_m_s, dt.dtype) * dt
     fastest = jnp.asarray(speed.v_max_m_s, dt.dtype) * dt
     return mask & (squared >= slowest**2) & (squared <= fastest**2)

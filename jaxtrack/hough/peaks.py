@@ -1,8 +1,9 @@
 """Peaks of an accumulation, the same for every method.
 
 Greedy non-maximum suppression: take the largest value, silence everything within the separation,
-repeat. Then each peak moves to the weighted mean of the votes nearby, and gets the detections that
-lie close to its line. `extract` reads votes at parameter points; `extract_dense` is the same on an
+repeat. Then each peak moves to the weighted mean of the votes nearby; one that lands within the
+separation of a stronger peak is that one, and falls away. What is left gets the detections that lie
+close to its line. `extract` reads votes at parameter points; `extract_dense` is the same on an
 accumulator with a value a cell.
 """
 
@@ -16,6 +17,7 @@ import numpy as np
 from jaxtrack.hough.grid import Grid, Sizes, centre_of, steps
 from jaxtrack.hough.votes import VoteKernel, Votes, evaluate, upper_bound
 from jaxtrack.models.line import line_difference, point_line_distance, wrap_line
+from jaxtrack.numerics.checks import check_known, check_positive
 from jaxtrack.numerics.safe import safe_divide
 from jaxtrack.types import Array, Lines, Scan
 
@@ -32,6 +34,22 @@ class Peaks(NamedTuple):
     separation_theta_rad: Array | float = 0.1003  # … and than this
     gate: Array | float = 0.0  # lines with fewer votes are masked out
     member_m: Array | float = 30.0  # how near a line a detection belongs to it
+
+
+def check_extraction(grid: Grid, peaks: Peaks) -> None:
+    """Check what is known of a grid and of an extractor's settings.
+
+    Raises:
+        ValueError: a length or an angle is not positive, or the gate is no number.
+
+    Example:
+        >>> check_extraction(Grid(), Peaks())
+    """
+    dtype = jnp.result_type(float)
+    check_positive("grid.rho_max_m", grid.rho_max_m, dtype)
+    for name in ("separation_rho_m", "separation_theta_rad", "member_m"):
+        check_positive(f"peaks.{name}", getattr(peaks, name), dtype)
+    check_known("peaks.gate", peaks.gate, lambda x: x == x, "a number")
 
 
 class HoughInfo(NamedTuple):
@@ -72,12 +90,12 @@ def extract(
     rho, theta = jnp.where(mask, rho, 0.0), jnp.where(mask, theta, 0.0)
     value = jnp.where(mask, evaluate(rho, theta, votes, kernel), 0.0)
 
-    def pick(left: Array, _: None) -> tuple[Array, tuple[Array, Array]]:
+    def pick(left: Array, _: None) -> tuple[Array, Array]:
         top = jnp.argmax(left)
         d_rho, d_theta = line_difference(rho[top], theta[top], rho, theta)
-        return jnp.where(_separate(d_rho, d_theta, peaks), left, 0.0), (top, left[top] > 0)
+        return jnp.where(_separate(d_rho, d_theta, peaks), left, 0.0), top
 
-    _, (picked, found) = jax.lax.scan(pick, jax.lax.stop_gradient(value), length=sizes.lines)
+    _, picked = jax.lax.scan(pick, jax.lax.stop_gradient(value), length=sizes.lines)
 
     prepared = kernel.prepare(votes)
 
@@ -89,7 +107,7 @@ def extract(
         return wrap_line(rho - shift(d_rho), theta - shift(d_theta))
 
     rho, theta = jax.lax.map(refine, (rho[picked], theta[picked]))
-    return _lines(rho, theta, value[picked], found, grid, peaks)
+    return _lines(rho, theta, value[picked], grid, peaks)
 
 
 def extract_dense(accumulator: Array, grid: Grid, peaks: Peaks, *, sizes: Sizes) -> Lines:
@@ -186,7 +204,7 @@ def extract_rows(
         return wrap_line(rho + shift(d[None, :] * rho_step), theta + shift(d[:, None] * theta_step))
 
     rho, theta = jax.lax.map(lambda cell: refine(*cell), (i, j))
-    return _lines(rho, theta, value, value > 0, grid, peaks)
+    return _lines(rho, theta, value, grid, peaks)
 
 
 def smooth(accumulator: Array, *, sizes: Sizes) -> Array:
@@ -233,10 +251,24 @@ def _separate(d_rho: Array, d_theta: Array, peaks: Peaks) -> Array:
     return ~(near & (jnp.abs(d_theta) <= jnp.asarray(peaks.separation_theta_rad, d_rho.dtype)))
 
 
-def _lines(rho: Array, theta: Array, value: Array, found: Array, grid: Grid, peaks: Peaks) -> Lines:
-    """Measure ρ from (0, 0) again, and mask out what is no peak."""
+def _lines(rho: Array, theta: Array, value: Array, grid: Grid, peaks: Peaks) -> Lines:
+    """Return refined peaks that are peaks still, strongest first, ρ measured from (0, 0) again.
+
+    A peak holds more than rounding would leave of the strongest, stands apart from every stronger
+    one, and passes the gate.
+    """
+    strength = jax.lax.stop_gradient(value)
+    found = strength > jnp.finfo(value.dtype).eps * strength[0]
+
+    def apart(kept: Array, n: Array) -> tuple[Array, None]:
+        away = _separate(*line_difference(rho[n], theta[n], rho, theta), peaks)
+        return kept.at[n].set(found[n] & (away | ~kept).all()), None
+
+    places = jnp.arange(rho.shape[0], dtype=jnp.int32)
+    keep, _ = jax.lax.scan(apart, jnp.zeros_like(found), places)
     origin = jnp.asarray(grid.origin_m, rho.dtype)
     rho = rho + origin[0] * jnp.cos(theta) + origin[1] * jnp.sin(theta)
-    keep = found & (value >= jnp.asarray(peaks.gate, value.dtype))
-    clear = lambda x: jnp.where(keep, x, 0.0)
-    return Lines(clear(rho), clear(theta), clear(value), keep)
+    keep = keep & (strength >= jnp.asarray(peaks.gate, value.dtype))
+    order = jnp.argsort(~keep, stable=True)
+    clear = lambda x: jnp.where(keep[order], x[order], 0.0)
+    return Lines(clear(rho), clear(theta), clear(value), keep[order])

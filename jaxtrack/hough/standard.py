@@ -11,7 +11,16 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack.hough.grid import Grid, Sizes, cell_of, centre_of, check_sizes, steps
-from jaxtrack.hough.peaks import BLOCK, HoughInfo, Peaks, RowReader, extract_rows, inform, smooth
+from jaxtrack.hough.peaks import (
+    BLOCK,
+    HoughInfo,
+    Peaks,
+    RowReader,
+    check_extraction,
+    extract_rows,
+    inform,
+    smooth,
+)
 from jaxtrack.hough.votes import interval_mass
 from jaxtrack.numerics.checks import check_positive, check_scans
 from jaxtrack.types import Array, Key, Lines, Scan
@@ -158,7 +167,8 @@ def estimate(
         accumulator stands in memory: 20 MB at 1 600 × 3 142 cells.
     """  # noqa: E501
     check_sizes(sizes)
-    check_scans(scans)
+    scans = check_scans(scans)
+    check_extraction(params.grid, params.peaks)
     read = rows(scans, params.grid, sizes=sizes)
     if sizes.smooth:
         # Smoothing needs the rows around a row: here the accumulator has to stand in memory.
@@ -171,6 +181,7 @@ def estimate(
 
 def _detections(scans: Scan, grid: Grid) -> tuple[Array, Array]:
     """Return positions from the grid's origin [K·N, 2] and weights, zero where nothing stands."""
+    scans = check_scans(scans)
     counts = (scans.mask & scans.valid[:, None]).ravel()
     position = scans.position_m.reshape(-1, 2)
     position = position - jnp.asarray(grid.origin_m, position.dtype)[None, :]

@@ -216,6 +216,7 @@ BEAMS = Observation(
     blur=blur_beams,
     positions=beam_positions,
     information=beam_information,
+    check=lambda scans, params: scans,
 )
 
 

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack.models.motion import look_times, propagate
+from jaxtrack.numerics.checks import check_positive, check_probability, check_scans
 from jaxtrack.numerics.safe import safe_divide, safe_log
 from jaxtrack.types import Array, LogLikelihoodRatio, Scan
 
@@ -37,7 +38,8 @@ class Observation(NamedTuple):
     detection of a look is the target's, `refine(state, scans, sensor)` moves a state uphill,
     `blur(sensor, factor)` widens the noise, `positions(scans, sensor)` gives the detections' places
     in the earth frame, and `information(state, scans, sensor) -> [4, 4]` what those that a state
-    claims tell about it.
+    claims tell about it. `check(scans, sensor)` refuses known values that cannot be, and returns
+    sound looks.
     """
 
     log_likelihood_ratio: LogLikelihoodRatio
@@ -47,6 +49,7 @@ class Observation(NamedTuple):
     blur: Callable[[Any, Array | float], Any]
     positions: Callable[[Any, Any], Scan]
     information: Callable[[Array, Any, Any], Array]
+    check: Callable[[Any, Any], Any]
 
 
 def position_log_likelihood_ratio(state: Array, scan: Scan, params: PositionSensor) -> Array:
@@ -190,6 +193,20 @@ def blur_position(params: PositionSensor, factor: Array | float) -> PositionSens
     return params._replace(widening=jnp.asarray(params.widening) * factor)
 
 
+def check_position_looks(scans: Scan, params: PositionSensor) -> Scan:
+    """Return sound looks, [K] stacked, of a sensor that can be.
+
+    Raises:
+        TypeError: positions are not floating numbers.
+        ValueError: a shape does not fit, or a known value cannot be.
+    """
+    dtype = jnp.result_type(float)
+    check_probability("sensor.p_detect", params.p_detect, dtype)
+    for name in ("clutter_per_m2", "sigma_m", "widening"):
+        check_positive(f"sensor.{name}", getattr(params, name), dtype)
+    return check_scans(scans)
+
+
 POSITION = Observation(
     log_likelihood_ratio=position_log_likelihood_ratio,
     scores=position_scores,
@@ -198,6 +215,7 @@ POSITION = Observation(
     blur=blur_position,
     positions=lambda scans, params: scans,
     information=position_information,
+    check=check_position_looks,
 )
 """The observation model of sensors that report positions."""
 

@@ -1,11 +1,14 @@
 """Entry checks: one place that words what is wrong with an argument's shape, dtype or static value.
 
-They look at shapes, dtypes and known values only, so they cost nothing in compiled code.
+They look at shapes, dtypes and known values, so they cost nothing in compiled code. A traced value
+cannot be refused: there it is brought to where it does no harm.
 """
 
 import operator
+from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -83,35 +86,75 @@ def check_choice(name: str, value: Any, choices: tuple[str, ...]) -> str:
     return value
 
 
-def check_positive(name: str, value: Any, dtype: Any) -> Array:
-    """Return a positive number as an array; where it is traced, one that is at least the rounding.
+def check_known(name: str, value: Any, fits: Callable[[Any], Any], want: str) -> None:
+    """Check what a number is, if it is known.
 
-    Compiled code cannot refuse a value: a traced one at or below zero acts as the smallest that
-    divides without overflow, and gets no gradient.
+    Args:
+        name: the argument's name.
+        value: a number or an array of them; of traced ones nothing is known.
+        fits: which values are right; NaN should not be.
+        want: them, in words.
 
     Raises:
-        ValueError: a known value that is not positive.
+        ValueError: some value is not right.
+
+    Example:
+        >>> check_known("p_detect", 0.9, lambda p: (p >= 0) & (p <= 1), "a probability")
+    """
+    if not isinstance(value, Tracer) and not np.all(fits(np.asarray(value))):
+        raise ValueError(f"{name}: got {value}, want {want}")
+
+
+def check_positive(name: str, value: Any, dtype: Any) -> Array:
+    """Return a positive, finite number as an array.
+
+    A traced one outside acts as the nearest that can be squared and divided by, and gets no
+    gradient.
+
+    Raises:
+        ValueError: a known value that is not positive, or not finite.
 
     Example:
         >>> print(check_positive("eps_rho_m", 20.0, jnp.float32))
         20.0
     """
-    if not isinstance(value, Tracer) and not (np.asarray(value) > 0).all():
-        raise ValueError(f"{name}: got {value}, want a positive number")
-    value, least = jnp.asarray(value, dtype), jnp.asarray(jnp.finfo(dtype).eps, dtype)
-    return jnp.where(value > least, value, least)
+    fits = lambda x: (x > 0) & np.isfinite(x)
+    check_known(name, value, fits, "a positive, finite number")
+    value, info = jnp.asarray(value, dtype), jnp.finfo(dtype)
+    least, most = jnp.asarray(info.eps, dtype), jnp.asarray(float(info.max) ** 0.25, dtype)
+    return jnp.where(value > least, jnp.where(value < most, value, most), least)
 
 
-def check_scans(scans: Scan) -> None:
-    """Check that stacked looks have floating positions [K, N, 2], and fields that fit them.
+def check_probability(name: str, value: Any, dtype: Any) -> Array:
+    """Return a probability as an array; a traced one outside [0, 1] acts as the nearest.
+
+    Raises:
+        ValueError: a known value outside [0, 1].
+
+    Example:
+        >>> print(check_probability("p_detect", 0.9, jnp.float32))
+        0.9
+    """
+    check_known(name, value, lambda x: (x >= 0) & (x <= 1), "a probability from 0 to 1")
+    value = jnp.asarray(value, dtype)
+    one = jnp.ones_like(value)
+    return jnp.where(value > 0, jnp.where(value < 1, value, one), 0 * one)
+
+
+def check_scans(scans: Scan) -> Scan:
+    """Return stacked looks that are sound: floating positions [K, N, 2], and fields that fit them.
+
+    Known looks are refused where a live position is no finite number, or times run back. In
+    traced ones such a detection counts as none, and so does a look whose time is no finite number.
 
     Raises:
         TypeError: positions are not floating numbers.
-        ValueError: a shape differs, or a look has no place for a detection.
+        ValueError: a shape differs, a look has no place for a detection, a value is not sound.
 
     Example:
         >>> scans = Scan(jnp.zeros(3), jnp.ones(3, bool), jnp.zeros((3, 4, 2)), jnp.ones((3, 4), bool))
-        >>> check_scans(scans)
+        >>> print(check_scans(scans).mask.sum())
+        12
     """  # noqa: E501
     check_array("scans.position_m", scans.position_m, shape=("K", "N", 2))
     dtype = jnp.result_type(scans.position_m)
@@ -130,3 +173,23 @@ def check_scans(scans: Scan) -> None:
     for name, shape in wanted.items():
         if getattr(scans, name) is not None:
             check_array(f"scans.{name}", getattr(scans, name), shape=shape)
+    if not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scans)):
+        _check_looks(scans)
+    return scans._replace(
+        valid=scans.valid & jnp.isfinite(scans.time_s),
+        mask=scans.mask & jnp.isfinite(scans.position_m).all(-1),
+    )
+
+
+def _check_looks(scans: Scan) -> None:
+    """Refuse live positions that are no numbers, and times of valid looks that run back."""
+    valid = np.asarray(scans.valid)
+    live = np.asarray(scans.mask) & valid[:, None]
+    broken = np.argwhere(live & ~np.isfinite(np.asarray(scans.position_m)).all(-1))
+    if len(broken):
+        look, place = broken[0]
+        got = np.asarray(scans.position_m)[look, place]
+        raise ValueError(f"scans.position_m: got {got} at [{look}, {place}], want finite numbers")
+    time_s = np.asarray(scans.time_s)[valid]
+    if not np.isfinite(time_s).all() or (np.diff(time_s) < 0).any():
+        raise ValueError(f"scans.time_s: got {time_s}, want finite times that do not run back")

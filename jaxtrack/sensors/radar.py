@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxtrack.models.motion import propagate
-from jaxtrack.numerics.checks import check_array, check_size
+from jaxtrack.numerics.checks import check_array, check_known, check_probability, check_size
 from jaxtrack.types import Array, Key, Scan, Truth
 
 
@@ -84,7 +85,8 @@ def observe(key: Key, truth: Truth, radar: Radar, *, detections: int) -> Scan:
         detections: size of a look, static.
 
     Raises:
-        ValueError: `detections` is smaller than the number of targets.
+        ValueError: `detections` is smaller than the number of targets, or a known value of the
+            radar cannot be.
 
     Example:
         >>> truth = move(jax.random.key(0), jnp.array([[900.0, 900.0, 100.0, 0.0]]), jnp.arange(3.0))
@@ -96,6 +98,10 @@ def observe(key: Key, truth: Truth, radar: Radar, *, detections: int) -> Scan:
     """  # noqa: E501
     looks, targets = truth.mask.shape
     check_size("detections", detections, at_least=targets)
+    check_probability("radar.p_detect", radar.p_detect, truth.state.dtype)
+    amount = lambda x: (x >= 0) & np.isfinite(x)
+    check_known("radar.sigma_m", radar.sigma_m, amount, "a number of metres of at least 0")
+    check_known("radar.clutter_per_scan", radar.clutter_per_scan, amount, "at least 0 a look")
     dtype = truth.state.dtype
     keys = jax.random.split(key, 5)
     seen = jax.random.uniform(keys[0], truth.mask.shape, dtype)

@@ -11,10 +11,10 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack.filtering.rls import RlsInput, rls
-from jaxtrack.hough.pairs import SpeedGate, counting, detection_times
+from jaxtrack.hough.pairs import SpeedGate, check_speeds, counting, detection_times
 from jaxtrack.models.line import point_line_distance
 from jaxtrack.models.motion import look_times
-from jaxtrack.numerics.checks import check_size
+from jaxtrack.numerics.checks import check_known, check_positive, check_scans, check_size
 from jaxtrack.numerics.safe import safe_min
 from jaxtrack.types import Array, Lines, Scan, Stage, Tracks
 
@@ -48,6 +48,10 @@ def initiate(
         params: gates, noise and forgetting.
         nearest: how many detections of a look, the nearest to the line, are considered; static.
 
+    Raises:
+        TypeError: `nearest` is not a Python int.
+        ValueError: a shape does not fit, or a known value cannot be.
+
     Returns:
         Tracks at the time of the last look, with the lines' votes as scores and existence 1 (a
         count of votes is no likelihood), and who belongs.
@@ -64,7 +68,12 @@ def initiate(
     Source: neutrosophic Hough transform (2018), figures 6 and 14 (recursive least squares).
     """
     check_size("nearest", nearest)
+    scans = check_scans(scans)
     dtype = scans.position_m.dtype
+    for name in ("member_m", "along_m", "sigma_m"):
+        check_positive(f"params.{name}", getattr(params, name), dtype)
+    check_speeds(params.speed)
+    check_known("params.min_looks", params.min_looks, lambda n: n >= 1, "at least one look")
     number = lambda x: jnp.asarray(x, dtype)
     looks, detections = scans.mask.shape
     nearest = min(nearest, detections)

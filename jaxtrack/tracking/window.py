@@ -110,8 +110,7 @@ def initiate_window(
     """
     _check_options(method, speed, sigma_m, p_detect, false_per_run, max_tracks)
     key = jax.random.key(0) if key is None else key
-    _check_recording(scans)
-    scans = _on_device(scans)
+    scans = _on_device(check_scans(scans))
     field = field_of(scans, sigma_m)
     looks = int(np.sum(scans.valid))
     if looks < 2 or field.detections_per_look == 0.0:
@@ -172,21 +171,6 @@ def _check_options(
     rates = f"a rate from {low:g} to {high:g}"
     check("false_per_run", false_per_run, low <= false_per_run <= high, rates)
     check_size("max_tracks", max_tracks)
-
-
-def _check_recording(scans: Scan) -> None:
-    """Refuse positions that are no numbers and times that run back, where something was seen."""
-    check_scans(scans)
-    valid = np.asarray(scans.valid)
-    live = np.asarray(scans.mask) & valid[:, None]
-    broken = live & ~np.isfinite(np.asarray(scans.position_m)).all(-1)
-    if broken.any():
-        look, place = np.argwhere(broken)[0]
-        got = np.asarray(scans.position_m)[look, place]
-        raise ValueError(f"scans.position_m: got {got} at [{look}, {place}], want finite numbers")
-    time_s = np.asarray(scans.time_s)[valid]
-    if not np.isfinite(time_s).all() or (np.diff(time_s) < 0).any():
-        raise ValueError(f"scans.time_s: got {time_s}, want finite times that do not run back")
 
 
 def _on_device(scans: Scan) -> Scan:

@@ -86,14 +86,19 @@ def looks(draw, shapes=SHAPES):
 def expected_lines(queries, read, refine, settings, origin, max_lines):
     """Return lines (ρ, θ, votes) from (0, 0): the queries' values, greedy peaks, refinement."""
     valued = [(rho, theta, read((rho, theta))) for rho, theta in queries]
-    found = []
-    for peak in peaks.greedy(
-        valued, settings.separation_rho_m, settings.separation_theta_rad, max_lines
-    ):
-        if peak.votes >= settings.gate:
-            rho, theta = refine((peak.rho, peak.theta))
-            found.append((lines.measured_from_zero(rho, theta, origin), theta, peak.votes))
-    return found
+    separation = settings.separation_rho_m, settings.separation_theta_rad
+    return lines_of(peaks.greedy(valued, *separation, max_lines), refine, settings, origin)
+
+
+def lines_of(found, refine, settings, origin):
+    """Return lines (ρ, θ, votes) from (0, 0): peaks refined, told apart and gated."""
+    refined = [(*refine((peak.rho, peak.theta)), float(peak.votes)) for peak in found]
+    separation = settings.separation_rho_m, settings.separation_theta_rad
+    return [
+        (lines.measured_from_zero(rho, theta, origin), theta, value)
+        for rho, theta, value in peaks.distinct(refined, *separation)
+        if value >= settings.gate
+    ]
 
 
 def assert_same_lines(got, expected, *, rtol=1e-10, rho_atol=1e-8, theta_atol=1e-10):

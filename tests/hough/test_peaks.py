@@ -15,7 +15,15 @@ from jaxtrack.hough.grid import Grid, Sizes
 from jaxtrack.hough.peaks import extract, extract_dense, smooth
 from jaxtrack.hough.votes import Votes, accumulate, gaussian, hard
 from jaxtrack.sensors import crossing_targets, observe
-from tests.hough.cases import ORIGIN, PEAKS, RHO_MAX, assert_same_lines, expected_lines, few
+from tests.hough.cases import (
+    ORIGIN,
+    PEAKS,
+    RHO_MAX,
+    assert_same_lines,
+    expected_lines,
+    few,
+    lines_of,
+)
 from tests.oracles import lines, peaks, votes
 
 SMALL = Sizes(lines=4, candidates=10**6, rho=20, theta=24)
@@ -96,11 +104,9 @@ def test_dense_lines_equal_the_oracle_and_those_at_all_cells(smoothing, case):
     # Values that are equal but for rounding are told apart by the order of the sums: read them
     # off the library's own table.
     valued = [(*centre, value) for centre, value in zip(centres, smoothed.ravel(), strict=True)]
-    expected = []
-    separation = PEAKS.separation_rho_m, PEAKS.separation_theta_rad
-    for peak in peaks.greedy(valued, *separation, SMALL.lines):
-        line = peaks.refine(peak[1:3], centred, CELLS, max(1, 3 * smoothing))
-        expected.append((lines.measured_from_zero(*line, ORIGIN), line[1], float(peak.votes)))
+    found = peaks.greedy(valued, *PEAKS[:2], SMALL.lines)
+    refine = lambda peak: peaks.refine(peak, centred, CELLS, max(1, 3 * smoothing))
+    expected = lines_of(found, refine, PEAKS, ORIGIN)
     assert_same_lines(got, expected)
 
     cells = [jnp.asarray(x) for x in np.transpose(peaks.cell_votes(np.asarray(counts), CELLS))]
@@ -117,6 +123,23 @@ def test_lines_closer_than_the_separation_are_one():
     kernel = gaussian(1e-3, 1e-6)
     got = extract(table, table, kernel, GRID, PEAKS, sizes=SMALL._replace(lines=7))
     assert got.votes[got.mask].round(9).tolist() == [7.0, 4.0, 3.0, 2.0]
+
+
+def test_what_a_tail_alone_holds_up_is_no_line():
+    at = Votes(jnp.array([0.0, 0.0]), jnp.array([1.0, 1.25]), jnp.ones(2), jnp.ones(2, bool))
+    query = at._replace(rho_m=jnp.array([0.0, 380.0]))  # 12.7 ε away: 1e-35 votes
+    kernel = gaussian(*EPS)
+    got = jax.jit(lambda q: extract(q, at, kernel, GRID, PEAKS, sizes=SMALL))(query)
+    assert got.mask.tolist() == [True, False, False, False]
+
+
+def test_peaks_that_refinement_moves_together_are_one():
+    # Both queries see the same cluster of votes halfway between them.
+    votes_at = Votes(jnp.array([20.0]), jnp.array([1.0]), jnp.ones(1), jnp.ones(1, bool))
+    query = Votes(*jnp.array([[-10.0, 50.0], [1.0, 1.0], [1.0, 1.0]]), jnp.ones(2, bool))
+    got = extract(query, votes_at, gaussian(*EPS), GRID, PEAKS, sizes=SMALL)
+    assert got.mask.sum() == 1
+    np.testing.assert_allclose(lines.measured_from_zero(20.0, 1.0, ORIGIN), got.rho_m[0])
 
 
 METHODS = {

@@ -22,10 +22,11 @@ from tests.hough.cases import (
     assert_same_info,
     assert_same_lines,
     few,
+    lines_of,
     looks,
     random_looks,
 )
-from tests.oracles import lines, peaks, votes
+from tests.oracles import peaks, votes
 from tests.oracles import standard as oracle
 
 accumulator = jax.jit(lambda scan: standard.accumulator(scan, GRID, sizes=SIZES))
@@ -98,13 +99,9 @@ def check_lines(sizes, scan, gate):
     table = oracle.accumulator(scan, ORIGIN, RHO_MAX, sizes.rho, sizes.theta)
     cast = [vote for vote in peaks.cell_votes(table, cells) if vote[2] > 0.0]
     separation = extractor.separation_rho_m, extractor.separation_theta_rad
-    expected = []
-    for peak in peaks.greedy_dense(table, cells, *separation, sizes.lines, sizes.smooth):
-        place = (peak.rho, peak.theta)
-        rho, theta = peaks.refine(place, cast, cells, max(1, 3 * sizes.smooth))
-        if peak.votes >= gate:
-            rho = lines.measured_from_zero(rho, theta, ORIGIN)
-            expected.append((rho, theta, peak.votes))
+    found = peaks.greedy_dense(table, cells, *separation, sizes.lines, sizes.smooth)
+    refine = lambda peak: peaks.refine(peak, cast, cells, max(1, 3 * sizes.smooth))
+    expected = lines_of(found, refine, extractor, ORIGIN)
     assert_same_lines(got, expected)
     assert_same_info(info, got, scan, extractor)
     assert info.votes is None

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxtrack.numerics import check_array, check_choice, check_size
-from jaxtrack.numerics.checks import check_positive, check_scans
+from jaxtrack.numerics.checks import check_positive, check_probability, check_scans
 from jaxtrack.types import Scan
 
 
@@ -85,13 +85,24 @@ def test_choices():
 
 def test_positive_numbers_are_kept_and_others_refused_or_raised():
     assert float(check_positive("eps", 2.5, jnp.float64)) == 2.5
-    for wrong in (0.0, -1.0, float("nan"), np.array([1.0, 0.0])):
-        with pytest.raises(ValueError, match=r"eps: got .*, want a positive number"):
+    for wrong in (0.0, -1.0, float("nan"), float("inf"), np.array([1.0, 0.0])):
+        with pytest.raises(ValueError, match=r"eps: got .*, want a positive, finite number"):
             check_positive("eps", wrong, jnp.float64)
-    raised = jax.jit(lambda x: check_positive("eps", x, jnp.float64))
-    for wrong in (0.0, -1.0):
-        assert float(raised(wrong)) == np.finfo(np.float64).eps
-        assert float(jax.jit(jax.grad(lambda x: check_positive("eps", x, jnp.float64)))(wrong)) == 0
+    raised = jax.jit(jax.value_and_grad(lambda x: check_positive("eps", x, jnp.float64)))
+    for wrong in (0.0, -1.0, float("nan")):
+        assert raised(wrong) == (np.finfo(np.float64).eps, 0.0)
+    most, slope = raised(float("inf"))
+    assert np.isfinite(most**2)
+    assert slope == 0
+
+
+def test_probabilities_are_kept_and_others_refused_or_moved():
+    assert float(check_probability("p", 0.5, jnp.float64)) == 0.5
+    for wrong in (-0.1, 1.1, float("nan")):
+        with pytest.raises(ValueError, match=r"p: got .*, want a probability from 0 to 1"):
+            check_probability("p", wrong, jnp.float64)
+    moved = jax.jit(lambda x: check_probability("p", x, jnp.float64))
+    assert [float(moved(x)) for x in (-1.0, 0.25, 7.0, float("nan"))] == [0.0, 0.25, 1.0, 0.0]
 
 
 @pytest.mark.parametrize(
@@ -111,3 +122,17 @@ def test_fields_of_looks_that_do_not_fit_are_named(field, value, message):
     check_scans(scans)
     with pytest.raises((TypeError, ValueError), match=message):
         check_scans(scans._replace(**{field: value}))
+
+
+def test_known_looks_with_broken_values_are_refused_and_traced_ones_seen_as_absent():
+    scans = Scan(np.arange(3.0), np.ones(3, bool), np.zeros((3, 4, 2)), np.ones((3, 4), bool))
+    scans.position_m[1, 2, 0] = np.inf
+    with pytest.raises(ValueError, match=r"scans.position_m: got .* at \[1, 2\], want finite"):
+        check_scans(scans)
+    scans.time_s[2] = np.nan
+    sound = jax.jit(check_scans)(scans)
+    assert sound.valid.tolist() == [True, True, False]
+    assert np.argwhere(~np.asarray(sound.mask)).tolist() == [[1, 2]]
+    scans = scans._replace(position_m=np.zeros((3, 4, 2)), time_s=np.array([0.0, 2.0, 1.0]))
+    with pytest.raises(ValueError, match=r"scans.time_s: got .*, want finite times"):
+        check_scans(scans)

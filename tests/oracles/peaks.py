@@ -28,10 +28,12 @@ def greedy(queries, separation_rho, separation_theta, max_lines):
     """Return at most `max_lines` peaks of queries (ρ, θ, value), strongest first: equation 32."""
     free = [True] * len(queries)
     found = []
+    # What is left of the strongest by rounding alone is nothing.
+    least = np.finfo(float).eps * max((value for _, _, value in queries), default=0.0)
     while len(found) < max_lines:
         best = None
         for n, (_, _, value) in enumerate(queries):
-            if free[n] and value > 0.0 and (best is None or value > queries[best][2]):
+            if free[n] and value > least and (best is None or value > queries[best][2]):
                 best = n
         if best is None:
             break
@@ -42,6 +44,19 @@ def greedy(queries, separation_rho, separation_theta, max_lines):
             if abs(d_rho) <= separation_rho and abs(d_theta) <= separation_theta:
                 free[n] = False
     return found
+
+
+def distinct(refined, separation_rho, separation_theta):
+    """Return the refined peaks (ρ, θ, votes) that stand apart from every stronger one."""
+    kept = []
+    for rho, theta, votes in refined:
+        merged = False
+        for other_rho, other_theta, _ in kept:
+            d_rho, d_theta = lines.difference(rho, theta, other_rho, other_theta)
+            merged |= abs(d_rho) <= separation_rho and abs(d_theta) <= separation_theta
+        if not merged:
+            kept.append((rho, theta, votes))
+    return kept
 
 
 def cell_votes(accumulator, grid):
