@@ -19,7 +19,7 @@ def main() -> None:
     """Simulate clutter around the recorded dots, start tracks, save the figure."""
     recorded = radar_measurements(clutter_per_scan=10.0)
     scans = observe(jax.random.key(SEED), recorded.truth, recorded.radar, detections=32)
-    tracks, info, _ = initiate_window(scans, method="joint", sigma_m=SIGMA_M)
+    tracks, info = initiate_window(scans, method="joint", sigma_m=SIGMA_M)
     figure = scene(
         scans,
         recorded.truth,

@@ -118,7 +118,7 @@ def initiate(
     try:
         recording = read_detections(file, bearing=bearing)
         with _progress(errors) as report:
-            tracks, info, gate = initiate_window(
+            tracks, info = initiate_window(
                 recording.scans,
                 method=method,
                 speed=SpeedGate(speed_min_m_s, speed_max_m_s),
@@ -134,7 +134,7 @@ def initiate(
             _draw(plots, figure, recording, tracks, info, f"{file.name}, {method}")
     except (OSError, ValueError) as error:  # a DataError is a ValueError
         return _fail(_line(error))
-    _print_tracks(console, recording, tracks, info, gate, seed)
+    _print_tracks(console, recording, tracks, info, seed)
     for note in info.notes:
         errors.print(f"note: {note}", highlight=False, soft_wrap=True)
     console.print(f"{out}" + (f", {figure}" if figure else ""), highlight=False, soft_wrap=True)
@@ -275,7 +275,6 @@ def _print_tracks(
     recording: "Recording",
     tracks: "Tracks",
     info: "WindowInfo",
-    gate: float,
     seed: int,
 ) -> None:
     import numpy as np
@@ -283,7 +282,7 @@ def _print_tracks(
 
     if info.trials:
         console.print(
-            f"gate {gate:.2f} from {info.trials} scenes without targets (seed {seed}), "
+            f"gate {info.gate:.2f} from {info.trials} scenes without targets (seed {seed}), "
             f"clutter {info.clutter_per_m2 * 1e6:.3g} a square kilometre and look",
             highlight=False,
             soft_wrap=True,

@@ -53,7 +53,7 @@ def test_initiate_writes_tracks_table_and_figure(run):
         assert float(row["time_s"]) == 1_700_000_060.0
         assert row["stage"] == "tentative"
     assert "gate " in out
-    assert "20 scenes without targets" in out
+    assert "(joint: 0.02), 20 trials" in out
     for heading in ("x, m", "y, m", "speed, m/s", "course, °", "sigma, m", "score", "looks"):
         assert heading in out
     assert "281." in out

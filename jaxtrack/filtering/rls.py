@@ -14,6 +14,13 @@ from jaxtrack.numerics.checks import check_known, check_positive, check_size
 from jaxtrack.types import Array, Estimator
 
 
+class RlsParams(NamedTuple):
+    """Parameters of recursive least squares. Traced."""
+
+    forgetting: Array | float = 1.0  # f in (0, 1]; 1 forgets nothing
+    initial_variance: Array | float = 1e6  # δ; P starts as δ I and B as zero
+
+
 class RlsState(NamedTuple):
     """What the next measurement needs."""
 
@@ -66,19 +73,17 @@ def update(
 
 
 def rls(
+    params: RlsParams = RlsParams(),  # noqa: B008 - an immutable tuple
     *,
     regressors: int,
     dimensions: int,
-    forgetting: Array | float = 1.0,
-    initial_variance: Array | float = 1e6,
 ) -> Estimator[RlsInput, RlsState, Array]:
     """Return the recursive least squares filter as an estimator.
 
     Args:
+        params: forgetting factor and initial variance.
         regressors: R, static.
         dimensions: D, static.
-        forgetting: [] f in (0, 1].
-        initial_variance: [] δ; P starts as δ I and B as zero.
 
     Raises:
         TypeError: a size is not a Python int.
@@ -98,7 +103,8 @@ def rls(
     """  # noqa: E501
     for name, size in (("regressors", regressors), ("dimensions", dimensions)):
         check_size(name, size)
-    variance = check_positive("initial_variance", initial_variance, jnp.result_type(float))
+    dtype = jnp.result_type(float)
+    variance = check_positive("params.initial_variance", params.initial_variance, dtype)
 
     def init(key: Array) -> RlsState:
         zero = jnp.zeros((regressors, dimensions), variance.dtype)
@@ -106,7 +112,7 @@ def rls(
 
     def step(state: RlsState, scan: RlsInput) -> tuple[RlsState, Array]:
         clean = jnp.where(scan.mask, scan.measurement, 0.0)
-        after = update(state, scan.regressors, clean, forgetting)
+        after = update(state, scan.regressors, clean, params.forgetting)
         state = jax.tree.map(lambda new, old: jnp.where(scan.mask, new, old), after, state)
         return state, state.coefficients.T @ scan.regressors
 

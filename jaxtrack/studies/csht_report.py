@@ -32,10 +32,10 @@ def gates(
     names = [cell_name(cell.p_miss, cell.p_false, cell.sigma_m) for cell in cells]
     lines = [[number(found[name][row]) for name in found] for row in range(len(cells))]
     title = (
-        f"Gates of the joint vote from {scenes} windows without targets, for at most "
-        f"{false_per_run:g} false tracks a window"
+        f"Gates of the joint vote from windows without targets, for at most {false_per_run:g} "
+        "false tracks a window"
     )
-    return grid_table(title, names, list(found), lines)
+    return grid_table(title, names, list(found), lines, trials=scenes)
 
 
 def cell_name(p_miss: float, p_false: float, sigma_m: float) -> str:
@@ -68,7 +68,8 @@ def errors(table: xr.Dataset, title: str) -> list[Table]:
         for row in range(len(names))
     ]
     columns = [f"{m} right" for m in methods] + [f"{m} count" for m in methods] + ["ceiling"]
-    tables = [grid_table(f"{title}: number of targets, {trials} runs", names, columns, shares)]
+    head = f"{title}: number of targets"
+    tables = [grid_table(head, names, columns, shares, trials=trials)]
     for what, (field, unit) in _MEASURES.items():
         lines = []
         for row in range(len(names)):
@@ -79,7 +80,7 @@ def errors(table: xr.Dataset, title: str) -> list[Table]:
             lines.append([*line[:3], _spread(only), *line[3:], *paper])
         columns = [*methods, "joint, number right", *estimators[3:], "paper SHT", "paper CSHT"]
         head = f"{title}: {what} OSPA in {unit}, mean ± standard error (median)"
-        tables.append(grid_table(head, names, columns, lines))
+        tables.append(grid_table(head, names, columns, lines, trials=trials))
     return tables
 
 

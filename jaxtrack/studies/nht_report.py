@@ -62,7 +62,8 @@ def table_2(simulated: xr.Dataset, situations: dict[str, str]) -> Table:
                 + [verdict, "; ".join(against)]
             )
     columns = [*COMPARED, "orders agree", "not"]
-    return grid_table("Table 2: ours, the paper's word", names, columns, cells)
+    trials = int(simulated.trials.max())
+    return grid_table("Table 2: ours, the paper's word", names, columns, cells, trials=trials)
 
 
 def word_numbers(simulated: xr.Dataset, situation: str, what: str) -> list[float]:
@@ -107,7 +108,7 @@ def shares(scores: xr.Dataset, title: str, *, count: str, match_m: float) -> Tab
             names.append(f"{method} {form}" if len(forms) > 1 else method)
             cells.append([number(float(x)) for x in (cell[count] / cell.trials).values])
     trials = int(scores.trials.max())
-    return grid_table(f"{title}, {trials} trials", names, situations, cells)
+    return grid_table(title, names, situations, cells, trials=trials)
 
 
 def means(scores: xr.Dataset, title: str, *, match_m: float) -> Table:
@@ -125,7 +126,7 @@ def means(scores: xr.Dataset, title: str, *, match_m: float) -> Table:
             errors = f"{float(at.rho_rmse_m):.1f} m {float(at.theta_rmse_rad):.4f}"
             line.append(f"{counts}\n{errors}" if known else "–")
         cells.append(line)
-    return grid_table(title, names, situations, cells)
+    return grid_table(title, names, situations, cells, trials=int(scores.trials.max()))
 
 
 def gates(table: xr.Dataset) -> Table:
@@ -137,12 +138,11 @@ def gates(table: xr.Dataset) -> Table:
             names.append(f"{method} {form}" if len(forms) > 1 else method)
             cells.append([number(float(x)) for x in here.values])
     title = (
-        f"Gates from {table.attrs['scenes']} scenes without targets, for at most "
-        f"{table.attrs['false_per_run']} false lines a run (joint: "
-        f"{table.attrs['false_per_run_joint']})"
+        f"Gates from scenes without targets, for at most {table.attrs['false_per_run']} false "
+        f"lines a run (joint: {table.attrs['false_per_run_joint']})"
     )
     columns = [f"clutter {name}" for name in table.clutter.values]
-    return grid_table(title, names, columns, cells)
+    return grid_table(title, names, columns, cells, trials=int(table.attrs["scenes"]))
 
 
 def run_times(times: xr.Dataset) -> Table:
@@ -158,7 +158,8 @@ def run_times(times: xr.Dataset) -> Table:
         known = np.isfinite(paper)
         line += [f"{1e3 * ours:.2f} ms", f"{1e3 * paper:.1f} ms" if known else "–"]
         cells.append([*line, f"{paper / ours:.0f} ×" if known else "–"])
-    return grid_table("Time of a run, one core", names, columns, cells)
+    runs = int(times.attrs["runs"])
+    return grid_table("Time of a run, one core", names, columns, cells, trials=runs)
 
 
 def _short(value: float) -> str:

@@ -108,6 +108,7 @@ def measure(
             ),
             "estimator": list(TIMED),
         },
+        attrs={"runs": _REPEATS * min(len(setting.scans.mask) for setting in (*settings, real))},
     )
 
 

@@ -156,9 +156,20 @@ def entry(row: Row) -> dict[str, Any]:
 
 
 def grid_table(
-    title: str, rows: Sequence[str], columns: Sequence[str], cells: Sequence[Sequence[str]]
+    title: str,
+    rows: Sequence[str],
+    columns: Sequence[str],
+    cells: Sequence[Sequence[str]],
+    *,
+    trials: int,
 ) -> Table:
-    """Return a plain table of prepared cells [rows][columns]."""
+    """Return a plain table of prepared cells [rows][columns], its trials in the title.
+
+    Example:
+        >>> grid_table("Found", ["HT"], ["I"], [["1"]], trials=4).title
+        'Found, 4 trials: smoke'
+    """
+    title = f"{title}, {trials} trials" + (f": {SMOKE}" if trials < SMOKE_BELOW else "")
     table = Table(title=title, title_justify="left")
     table.add_column("")
     for column in columns:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxtrack.filtering.rls import RlsInput, rls
+from jaxtrack.filtering.rls import RlsInput, RlsParams, rls
 from jaxtrack.hough.pairs import SpeedGate, check_speeds, counting, detection_times
 from jaxtrack.models.line import point_line_distance
 from jaxtrack.models.motion import look_times
@@ -123,7 +123,7 @@ def initiate(
         first = z[jnp.argmax(mine)]
         span = jnp.maximum(-safe_min(before), 1.0)
         phi = jnp.stack([jnp.ones_like(t), t / span], axis=-1)
-        fit = rls(regressors=2, dimensions=2, forgetting=params.forgetting, initial_variance=1e4)
+        fit = rls(RlsParams(params.forgetting, 1e4), regressors=2, dimensions=2)
         begin = jax.tree.map(lambda x: x.astype(dtype), fit.init(jax.random.key(0)))
         inputs = RlsInput(phi, z - first[None], mine)
         state, smoothed = jax.lax.scan(fit.step, begin, inputs)

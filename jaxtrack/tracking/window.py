@@ -36,6 +36,7 @@ FALSE_PER_RUN = (0.001, 1.0)
 class WindowInfo(NamedTuple):
     """What people look at."""
 
+    gate: float  # what a track's score had to reach; infinite where nothing can start a track
     looks: Array  # [M] looks in which a track has a detection
     smoothed_m: Array  # [M, K, 2] where a track was at every look
     clutter_per_m2: float  # detections a square metre and look
@@ -69,7 +70,7 @@ def initiate_window(
     max_tracks: int = 8,
     key: Key | None = None,
     on_progress: Callable[[int, int], None] | None = None,
-) -> tuple[Tracks, WindowInfo, float]:
+) -> tuple[Tracks, WindowInfo]:
     """Return the tracks that start in a recording's looks, taken as one window.
 
     Not for `jit`: array sizes, grid and gate depend on the values of the data.
@@ -86,8 +87,8 @@ def initiate_window(
         on_progress: called as `on_progress(scenes done, scenes)`.
 
     Returns:
-        Tracks in order of their scores, what people look at, and the gate. One look, or looks
-        without detections, start no track: the gate is then infinite.
+        Tracks in order of their scores, and what people look at, the gate among it. One look, or
+        looks without detections, start no track.
 
     Raises:
         ValueError: an option is out of range, a position is not finite, or times run back.
@@ -96,8 +97,8 @@ def initiate_window(
         >>> scans = Scan(2.0 * np.arange(5), np.ones(5, bool),
         ...              np.stack([400.0 * np.arange(5), np.full(5, 80.0)], -1)[:, None],
         ...              np.ones((5, 1), bool))
-        >>> tracks, info, gate = initiate_window(scans, false_per_run=0.1, max_tracks=1)
-        >>> print(int(tracks.mask.sum()), int(info.looks[0]), gate < 20)
+        >>> tracks, info = initiate_window(scans, false_per_run=0.1, max_tracks=1)
+        >>> print(int(tracks.mask.sum()), int(info.looks[0]), info.gate < 20)
         1 5 True
 
     Note:
@@ -115,7 +116,7 @@ def initiate_window(
     looks = int(np.sum(scans.valid))
     if looks < 2 or field.detections_per_look == 0.0:
         why = "one look starts no track" if looks < 2 else "there are no detections"
-        return *_nothing(scans, max_tracks, field, why), math.inf
+        return _nothing(scans, max_tracks, field, why)
 
     sizes, notes = choose_sizes(scans, field, speed, sigma_m, method=method, tracks=max_tracks)
     number = lambda x: jnp.asarray(x, scans.position_m.dtype)
@@ -145,8 +146,7 @@ def initiate_window(
         notes += ("the recording holds more candidate pairs than fit: tracks may be missing",)
     if overflow.mean() > 0.01:
         notes += ("scenes without targets hold more candidate pairs than fit: the gate may be low",)
-    info = WindowInfo(seen, smoothed, field.clutter_per_m2, trials, notes)
-    return tracks, info, float(gate)
+    return tracks, WindowInfo(float(gate), seen, smoothed, field.clutter_per_m2, trials, notes)
 
 
 def _check_options(
@@ -263,4 +263,4 @@ def _nothing(scans: Scan, tracks: int, field: Field, why: str) -> tuple[Tracks, 
     )
     path = number(tracks, scans.time_s.shape[0], 2)
     looks = jnp.zeros(tracks, int)
-    return empty, WindowInfo(looks, path, field.clutter_per_m2, 0, (why,))
+    return empty, WindowInfo(math.inf, looks, path, field.clutter_per_m2, 0, (why,))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxtrack.filtering.rls import RlsInput, RlsState, rls, update
+from jaxtrack.filtering.rls import RlsInput, RlsParams, RlsState, rls, update
 from tests.metrics.differences import assert_gradients_agree
 from tests.oracles.rls import batch
 
@@ -18,9 +18,7 @@ SIZE = 7
 @jax.jit
 def run(inputs, forgetting, initial_variance):
     # Rebuilt inside, so that its parameters are traced.
-    estimator = rls(
-        regressors=2, dimensions=2, forgetting=forgetting, initial_variance=initial_variance
-    )
+    estimator = rls(RlsParams(forgetting, initial_variance), regressors=2, dimensions=2)
     return jax.lax.scan(estimator.step, estimator.init(jax.random.key(0)), inputs)
 
 
@@ -69,7 +67,7 @@ def test_it_starts_where_its_state_stands():
 def test_other_sizes():
     rng = np.random.default_rng(2)
     phi, truth = rng.normal(size=(40, 3)), rng.normal(size=(3, 1))
-    estimator = rls(regressors=3, dimensions=1, initial_variance=1e10)
+    estimator = rls(RlsParams(initial_variance=1e10), regressors=3, dimensions=1)
     inputs = RlsInput(phi, phi @ truth, np.ones(40, bool))  # pyright: ignore
     state, fitted = jax.jit(jax.lax.scan, static_argnums=0)(
         estimator.step, estimator.init(jax.random.key(0)), inputs
@@ -116,7 +114,7 @@ def test_ten_thousand_steps_in_float32(forgetting):
     phi = np.stack([np.ones(steps), rng.uniform(-1.0, 1.0, steps)], -1).astype(np.float32)
     truth = np.array([[120.0, -40.0], [7.0, 300.0]])
     z = (phi @ truth + rng.normal(size=(steps, 2))).astype(np.float32)
-    estimator = rls(regressors=2, dimensions=2, forgetting=forgetting, initial_variance=1e6)
+    estimator = rls(RlsParams(forgetting), regressors=2, dimensions=2)
     begin = jax.tree.map(lambda x: x.astype(jnp.float32), estimator.init(jax.random.key(0)))
 
     def step(state, scan):

@@ -41,11 +41,11 @@ def two_targets(looks: int = 5) -> Scan:
     ],
 )
 def test_finds_the_three_targets_of_the_radar(recording, method):
-    tracks, info, gate = initiate_window(recording.scans, method=method, **FIELD)
+    tracks, info = initiate_window(recording.scans, method=method, **FIELD)
     found = np.asarray(tracks.mean)[np.asarray(tracks.mask)]
     away = np.linalg.norm(found[:, None, :2] - LAST_DOTS[None], axis=-1)
     assert (away.min(axis=0) < 150.0).all()
-    assert (np.asarray(tracks.log_score)[np.asarray(tracks.mask)] >= gate).all()
+    assert (np.asarray(tracks.log_score)[np.asarray(tracks.mask)] >= info.gate).all()
     assert info.trials == 20
     assert info.notes == ()
 
@@ -53,14 +53,14 @@ def test_finds_the_three_targets_of_the_radar(recording, method):
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["modified", "standard"])
 def test_methods_without_a_speed_gate_run_on_few_detections(method):
-    tracks, info, gate = initiate_window(two_targets(), method=method, false_per_run=1.0)
+    tracks, info = initiate_window(two_targets(), method=method, false_per_run=1.0)
     assert np.isfinite(np.asarray(tracks.mean)).all()
-    assert math.isfinite(gate)
+    assert math.isfinite(info.gate)
     assert info.smoothed_m.shape == (8, 5, 2)
 
 
 def test_states_looks_and_paths_agree():
-    tracks, info, _ = initiate_window(two_targets(), false_per_run=1.0)
+    tracks, info = initiate_window(two_targets(), false_per_run=1.0)
     order = np.argsort(np.asarray(tracks.mean)[:2, 0])
     expected = np.array([[1600.0, 80.0, 200.0, 0.0], [1800.0, 480.0, -150.0, 60.0]])
     np.testing.assert_allclose(np.asarray(tracks.mean)[order], expected, atol=1.0)
@@ -71,20 +71,23 @@ def test_states_looks_and_paths_agree():
 
 
 def test_a_rarer_false_track_needs_a_higher_gate(recording):
-    gates = [
-        initiate_window(recording.scans, sigma_m=50.0, false_per_run=rate)[2] for rate in (1, 0.1)
-    ]
-    assert 0 < gates[0] < gates[1]
+    often, seldom = (
+        initiate_window(recording.scans, sigma_m=50.0, false_per_run=rate)[1].gate
+        for rate in (1, 0.1)
+    )
+    assert 0 < often < seldom
 
 
 def test_the_seed_decides_the_gate_and_progress_is_told(recording):
     seen = []
-    run = lambda seed: initiate_window(
-        recording.scans,
-        key=jax.random.key(seed),
-        on_progress=lambda done, total: seen.append((done, total)),
-        **FIELD,
-    )[2]
+    run = lambda seed: (
+        initiate_window(
+            recording.scans,
+            key=jax.random.key(seed),
+            on_progress=lambda done, total: seen.append((done, total)),
+            **FIELD,
+        )[1].gate
+    )
     assert run(0) == run(0) != run(1)
     assert seen[-1] == (20, 20)
 
@@ -99,7 +102,7 @@ def test_weights_covariances_and_delays_of_a_recording_are_used():
         covariance_m2=own,  # pyright: ignore
         delay_s=np.zeros(shape),  # pyright: ignore
     )
-    tracks, _, _ = initiate_window(full, false_per_run=1.0)
+    tracks, _ = initiate_window(full, false_per_run=1.0)
     assert int(tracks.mask.sum()) == 2
     nobody = full._replace(weight=np.zeros(shape))  # pyright: ignore
     assert int(initiate_window(nobody, false_per_run=1.0)[0].mask.sum()) == 0
@@ -110,16 +113,16 @@ def test_one_look_or_no_detection_starts_no_track():
     one = jax.tree.map(lambda x: x[:1], scans)
     none = scans._replace(mask=np.zeros_like(scans.mask))
     for few, why in ((one, "one look"), (none, "no detections")):
-        tracks, info, gate = initiate_window(few)
+        tracks, info = initiate_window(few)
         assert not np.asarray(tracks.mask).any()
-        assert gate == math.inf
+        assert info.gate == math.inf
         assert why in info.notes[0]
 
 
 def test_two_looks_are_enough_to_try():
     scans = jax.tree.map(lambda x: x[:2], two_targets())
-    tracks, _, gate = initiate_window(scans, method="improved", false_per_run=1.0)
-    assert math.isfinite(gate)
+    tracks, info = initiate_window(scans, method="improved", false_per_run=1.0)
+    assert math.isfinite(info.gate)
     assert tracks.mask.shape == (8,)
 
 

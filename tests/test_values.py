@@ -1,0 +1,121 @@
+"""Values that cannot be are refused by the argument's name, wherever they enter.
+
+Nothing is compiled: a value that is known is looked at before anything is computed.
+"""
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+from jaxtrack import filtering, hough, sensors, tracking
+from jaxtrack.hough.neutrosophic import NeutrosophicParams
+from jaxtrack.models import PositionSensor
+from jaxtrack.types import Lines, Scan
+
+SIZES = hough.Sizes(lines=2, pairs=4, predecessors=2, candidates=4, rho=10, theta=10)
+JOINT = hough.joint.JointSizes(tracks=1, hypotheses=4, candidates=4, starts=1, gap=1)
+GOOD = Scan(jnp.arange(3.0), jnp.ones(3, bool), jnp.ones((3, 2, 2)), jnp.ones((3, 2), bool))
+SPEED = hough.SpeedGate()
+SENSOR = PositionSensor(0.9, 1e-5, 10.0)
+LINES = Lines(*(jnp.ones(1) for _ in range(3)), jnp.ones(1, bool))
+NAN, INF = float("nan"), float("inf")
+
+
+def neutrosophic(**wrong):
+    return hough.neutrosophic.estimate(GOOD, NeutrosophicParams(**wrong), sizes=SIZES)
+
+
+def improved(**wrong):
+    return hough.improved.estimate(GOOD, hough.improved.ImprovedParams(**wrong), sizes=SIZES)
+
+
+def soft(eps_rho_m=1.0, eps_theta_rad=1.0):
+    params = hough.modified.ModifiedParams()
+    return hough.modified.soft_estimate(GOOD, params, eps_rho_m, eps_theta_rad, sizes=SIZES)
+
+
+def standard(**wrong):
+    return hough.standard.estimate(GOOD, hough.standard.StandardParams(**wrong), sizes=SIZES)
+
+
+def joint(speed=SPEED, **wrong):
+    params = hough.joint.JointParams(SENSOR._replace(**wrong), speed)
+    return hough.joint.estimate(GOOD, params, sizes=JOINT)
+
+
+def initiate(**wrong):
+    return tracking.initiate(GOOD, LINES, tracking.InitiateParams(**wrong))
+
+
+def radar(**wrong):
+    truth = sensors.crossing_targets("I").truth
+    return sensors.observe(jax.random.key(0), truth, sensors.Radar(**wrong), detections=4)
+
+
+def rls(**wrong):
+    fit = filtering.rls.rls(filtering.rls.RlsParams(**wrong), regressors=1, dimensions=1)
+    seen = filtering.rls.RlsInput(jnp.ones(1), jnp.ones(1), jnp.asarray(True))
+    return fit.step(fit.init(jax.random.key(0)), seen)
+
+
+CASES = [
+    (call, name, value)
+    for call, name, values in (
+        (neutrosophic, "eps_rho_m", (0.0, -1.0, NAN, INF)),
+        (neutrosophic, "eps_theta_rad", (0.0, INF)),
+        (neutrosophic, "p_false", (-0.1, 1.1, NAN)),
+        (neutrosophic, "p_gate", (1.0, -0.1)),
+        (neutrosophic, "sigma_m", (0.0, -3.0)),
+        (neutrosophic, "adjustment", (-1.0,)),
+        (soft, "eps_rho_m", (0.0, INF)),
+        (soft, "eps_theta_rad", (-1.0, NAN)),
+        (joint, "p_detect", (-0.1, 1.5, NAN)),
+        (joint, "clutter_per_m2", (0.0, -1.0)),
+        (joint, "sigma_m", (0.0, -1.0, INF)),
+        (initiate, "sigma_m", (-1.0,)),
+        (initiate, "member_m", (0.0,)),
+        (initiate, "along_m", (NAN,)),
+        (initiate, "min_looks", (0,)),
+        (initiate, "forgetting", (0.0, 1.5)),
+        (radar, "p_detect", (1.5,)),
+        (radar, "sigma_m", (-1.0, NAN)),
+        (radar, "clutter_per_scan", (-1.0, INF)),
+        (rls, "forgetting", (0.0, 1.5, NAN)),
+        (rls, "initial_variance", (0.0, -1.0)),
+    )
+    for value in values
+]
+
+
+@pytest.mark.parametrize(("call", "name", "value"), CASES)
+def test_a_value_that_cannot_be_is_named(call, name, value):
+    with pytest.raises(ValueError, match=rf"{name}: got {value}, want"):
+        call(**{name: value})
+
+
+@pytest.mark.parametrize("call", [improved, neutrosophic, joint, initiate])
+@pytest.mark.parametrize("speed", [hough.SpeedGate(-1.0, 5.0), hough.SpeedGate(5.0, 5.0)])
+def test_speeds_that_are_no_range_are_named(call, speed):
+    with pytest.raises(ValueError, match=r"speed.v_m(in|ax)_m_s: got"):
+        call(speed=speed)
+
+
+@pytest.mark.parametrize("call", [improved, neutrosophic, standard])
+def test_grids_and_extractors_that_cannot_be_are_named(call):
+    for peaks in ({"separation_rho_m": -1.0}, {"member_m": NAN}, {"gate": NAN}):
+        ((name, _),) = peaks.items()
+        with pytest.raises(ValueError, match=f"peaks.{name}: got"):
+            call(peaks=hough.Peaks(**peaks))
+    with pytest.raises(ValueError, match=r"grid.rho_max_m: got"):
+        call(grid=hough.Grid(rho_max_m=0.0))
+
+
+@pytest.mark.parametrize("call", [improved, neutrosophic, soft, standard, joint, initiate])
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("position_m", GOOD.position_m.at[1, 1].set(INF)), ("time_s", GOOD.time_s[::-1])],
+)
+def test_looks_with_broken_values_are_named(call, field, value, monkeypatch):
+    monkeypatch.setitem(globals(), "GOOD", GOOD._replace(**{field: value}))
+    with pytest.raises(ValueError, match=rf"scans.{field}: got"):
+        call()
