@@ -9,12 +9,14 @@ import pytest
 
 from jaxtrack import filtering, hough, sensors, tracking
 from jaxtrack.hough.neutrosophic import NeutrosophicParams
-from jaxtrack.models import PositionSensor
-from jaxtrack.types import Lines, Scan
+from jaxtrack.models import BEAMS, BeamSensor, BeamSonar, PositionSensor
+from jaxtrack.types import BeamScan, Lines, Pose, Scan
 
 SIZES = hough.Sizes(lines=2, pairs=4, predecessors=2, candidates=4, rho=10, theta=10)
 JOINT = hough.joint.JointSizes(tracks=1, hypotheses=4, candidates=4, starts=1, gap=1)
 GOOD = Scan(jnp.arange(3.0), jnp.ones(3, bool), jnp.ones((3, 2, 2)), jnp.ones((3, 2), bool))
+POSE = Pose(jnp.zeros((3, 2)), jnp.zeros(3))
+LOUD = BeamScan(jnp.arange(3.0), jnp.ones(3, bool), jnp.ones((3, 4)), jnp.ones((3, 4), bool), POSE)
 SPEED = hough.SpeedGate()
 SENSOR = PositionSensor(0.9, 1e-5, 10.0)
 LINES = Lines(*(jnp.ones(1) for _ in range(3)), jnp.ones(1, bool))
@@ -58,6 +60,23 @@ def rls(**wrong):
     return fit.step(fit.init(jax.random.key(0)), seen)
 
 
+def sonar(**wrong):
+    scene = sensors.motion_elements_scene()
+    scene = scene._replace(sonar=scene.sonar._replace(**wrong))
+    return sensors.observe_beams(jax.random.key(0), *scene)
+
+
+def beams(**wrong):
+    sensor = BeamSensor(BeamSonar()._replace(**wrong))
+    params = hough.joint.JointParams(sensor)
+    return hough.joint.estimate(LOUD, params, sizes=JOINT, observation=BEAMS)
+
+
+def clustering(**wrong):
+    params = hough.clustering_statistic.ClusteringParams(**wrong)
+    return hough.clustering_statistic.estimate(GOOD, params)
+
+
 CASES = [
     (call, name, value)
     for call, name, values in (
@@ -80,6 +99,15 @@ CASES = [
         (radar, "p_detect", (1.5,)),
         (radar, "sigma_m", (-1.0, NAN)),
         (radar, "clutter_per_scan", (-1.0, INF)),
+        (sonar, "p_miss", (-0.1, 1.1)),
+        (sonar, "p_false", (NAN,)),
+        (sonar, "sigma_m", (-1.0, INF)),
+        (sonar, "range_max_m", (0.0,)),
+        (beams, "p_miss", (1.5,)),
+        (beams, "sigma_m", (0.0, NAN)),
+        (clustering, "cell_share", (1.0, -0.1)),
+        (clustering, "velocity_scale_s", (0.0,)),
+        (clustering, "sigma_m", (-1.0,)),
         (rls, "forgetting", (0.0, 1.5, NAN)),
         (rls, "initial_variance", (0.0, -1.0)),
     )
@@ -110,7 +138,9 @@ def test_grids_and_extractors_that_cannot_be_are_named(call):
         call(grid=hough.Grid(rho_max_m=0.0))
 
 
-@pytest.mark.parametrize("call", [improved, neutrosophic, soft, standard, joint, initiate])
+@pytest.mark.parametrize(
+    "call", [improved, neutrosophic, soft, standard, joint, clustering, initiate]
+)
 @pytest.mark.parametrize(
     ("field", "value"),
     [("position_m", GOOD.position_m.at[1, 1].set(INF)), ("time_s", GOOD.time_s[::-1])],
@@ -119,3 +149,20 @@ def test_looks_with_broken_values_are_named(call, field, value, monkeypatch):
     monkeypatch.setitem(globals(), "GOOD", GOOD._replace(**{field: value}))
     with pytest.raises(ValueError, match=rf"scans.{field}: got"):
         call()
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("range_m", LOUD.range_m.at[1, 1].set(NAN)),
+        ("time_s", LOUD.time_s[::-1]),
+        ("mask", LOUD.mask[:2]),
+        ("pose.heading_rad", jnp.zeros(2)),
+    ],
+)
+def test_beams_with_broken_values_are_named(field, value, monkeypatch):
+    first, _, second = field.partition(".")
+    value = LOUD.pose._replace(**{second: value}) if second else value
+    monkeypatch.setitem(globals(), "LOUD", LOUD._replace(**{first: value}))
+    with pytest.raises(ValueError, match=rf"scans.{field}: got"):
+        beams()

@@ -24,7 +24,7 @@ from jaxtrack.hough.slope_intercept import (
     start_time,
 )
 from jaxtrack.models.motion import look_times
-from jaxtrack.numerics.checks import check_array, check_positive, check_size
+from jaxtrack.numerics.checks import check_known, check_positive, check_scans, check_size
 from jaxtrack.numerics.safe import safe_divide
 from jaxtrack.types import Array, Key, Scan, Stage, Tracks
 
@@ -215,7 +215,7 @@ def estimate(
         at the defaults that changes little: exact number 0.96 against 0.95, median position OSPA
         2.9 against 2.7 m (768 windows of three targets).
     """
-    sizes = _check(scans, sizes)
+    scans, sizes = _check(scans, params, sizes)
     dtype = scans.position_m.dtype
     points = points_of(scans, 0)
     votes = hard_votes(points, params.x, sizes=sizes.lines)
@@ -259,7 +259,7 @@ def soft_estimate(
     Raises:
         ValueError: shapes do not fit, a size is too small, or a tolerance is not positive.
     """
-    sizes = _check(scans, sizes)
+    scans, sizes = _check(scans, params, sizes)
     dtype = scans.position_m.dtype
     tolerance = check_positive("tolerance_m", tolerance_m, dtype)
     width = check_positive("temperature", temperature, dtype)
@@ -328,7 +328,7 @@ def threshold_estimate(
     Note:
         A detection votes in the second coordinate for its nearest line and for all lines as near.
     """
-    sizes = _check(scans, sizes)
+    scans, sizes = _check(scans, params, sizes)
     dtype = scans.position_m.dtype
     points = points_of(scans, 0)
     votes = hard_votes(points, params.x, sizes=sizes.lines)
@@ -452,12 +452,23 @@ def _covariance(time: Array, weight: Array) -> Array:
     return jnp.kron(block, jnp.eye(2, dtype=time.dtype))
 
 
-def _check(scans: Scan, sizes: ClusteringSizes | None) -> ClusteringSizes:
-    """Check shapes and static sizes, and return the sizes."""
+def _check(
+    scans: Scan, params: ClusteringParams, sizes: ClusteringSizes | None
+) -> tuple[Scan, ClusteringSizes]:
+    """Check shapes, static sizes and what is known of the parameters; return looks and sizes."""
     sizes = ClusteringSizes() if sizes is None else sizes
-    check_array("scans.position_m", scans.position_m, shape=("K", "N", 2))
-    check_array("scans.mask", scans.mask, shape=scans.position_m.shape[:2])
+    scans = check_scans(scans)
+    dtype = scans.position_m.dtype
+    for axis in ("x", "y"):
+        for name in ("velocity_step_m_s", "position_step_m"):
+            step = getattr(getattr(params, axis), name)
+            check_positive(f"params.{axis}.{name}", step, dtype)
+    for name in ("velocity_scale_s", "sigma_m"):
+        check_positive(f"params.{name}", getattr(params, name), dtype)
+    for name in ("cell_share", "line_share"):
+        share = getattr(params, name)
+        check_known(f"params.{name}", share, lambda x: (x >= 0) & (x < 1), "a share below 1")
     for name in ("cells", "patterns", "start"):
         check_size(f"sizes.{name}", getattr(sizes, name))
     check_size("sizes.patterns", sizes.patterns, at_least=sizes.start)
-    return sizes
+    return scans, sizes

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxtrack.numerics.checks import check_array, check_positive, check_size
+from jaxtrack.numerics.checks import check_array, check_positive, check_scans, check_size
 from jaxtrack.types import Array, Scan
 
 
@@ -59,6 +59,7 @@ def points_of(scans: Scan, coordinate: int) -> Points:
 
     Source: clustering-statistic Hough transform (2018), equations 10–13.
     """
+    scans = check_scans(scans)
     counts = scans.mask & scans.valid[:, None]
     dtype = scans.position_m.dtype
     time = jnp.where(scans.valid, scans.time_s - start_time(scans), 0.0)[:, None]

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtrack.models.frames import earth_to_polar
 from jaxtrack.models.motion import propagate
 from jaxtrack.models.observation import Observation
-from jaxtrack.models.sonar import BeamSonar
+from jaxtrack.models.sonar import BeamSonar, check_sonar
 from jaxtrack.numerics.checks import check_array, check_size
 from jaxtrack.numerics.definite import scaled_inverse, scaled_root
 from jaxtrack.numerics.safe import safe_norm, wrap_angle
@@ -78,7 +78,7 @@ def known_least_squares(
 
     Source: the genie of the readings of the clustering-statistic Hough transform (2018), table 1.
     """
-    _check(detections, start, beams)
+    _check(detections, sonar, start, beams)
     # The weakest of pulls to the start keeps a singular fit where it is.
     state, information = _fit(detections, sonar, start, jnp.zeros((4, 4), start.dtype), beams)
     covariance, determined = scaled_inverse(information)
@@ -123,7 +123,7 @@ def known_posterior_mean(
         >>> bool(0.3 < floor.state[1] < 0.6), bool(floor.effective_samples > 100)
         (True, True)
     """
-    _check(detections, start, beams)
+    _check(detections, sonar, start, beams)
     check_size("samples", samples, at_least=8)
     dtype = start.dtype
     scope, fastest = jnp.asarray(sonar.range_max_m, dtype), jnp.asarray(speed_m_s[1], dtype)
@@ -181,8 +181,9 @@ def all_pass_at_truth(
     return ((scores >= gate) | ~mask).all()
 
 
-def _check(detections: KnownDetections, start: Array, beams: int) -> None:
+def _check(detections: KnownDetections, sonar: BeamSonar, start: Array, beams: int) -> None:
     check_size("beams", beams)
+    check_sonar(sonar)
     check_array("start", start, shape=(4,))
     check_array("detections.range_m", detections.range_m, shape=("T",))
     check_array("detections.beam", detections.beam, shape=jnp.shape(detections.range_m))

@@ -23,7 +23,8 @@ import numpy as np
 from jaxtrack.models.frames import polar_to_earth
 from jaxtrack.models.motion import look_times
 from jaxtrack.models.observation import Observation
-from jaxtrack.models.sonar import BeamSonar, beam_bearings
+from jaxtrack.models.sonar import BeamSonar, beam_bearings, check_sonar
+from jaxtrack.numerics.checks import check_beam_scans, check_positive, check_probability
 from jaxtrack.numerics.definite import scaled_inverse
 from jaxtrack.numerics.safe import safe_divide, safe_sqrt
 from jaxtrack.types import Array, BeamScan, Pose, Scan
@@ -208,6 +209,21 @@ def blur_beams(params: BeamSensor, factor: Array | float) -> BeamSensor:
     return params._replace(sonar=sonar, spread_beams=params.spread_beams + (factor - 1) * 4 / 3)
 
 
+def check_beam_looks(scans: BeamScan, params: BeamSensor) -> BeamScan:
+    """Return sound looks, [K] stacked, of a sonar that can be.
+
+    Raises:
+        TypeError: ranges are not floating numbers.
+        ValueError: a shape does not fit, or a known value cannot be.
+    """
+    check_sonar(params.sonar)
+    dtype = jnp.result_type(float)
+    check_positive("sensor.sonar.sigma_m", params.sonar.sigma_m, dtype)
+    check_positive("sensor.spread_beams", params.spread_beams, dtype)
+    check_probability("sensor.p_other", params.p_other, dtype)
+    return check_beam_scans(scans)
+
+
 BEAMS = Observation(
     log_likelihood_ratio=beam_log_likelihood_ratio,
     scores=beam_scores,
@@ -216,7 +232,7 @@ BEAMS = Observation(
     blur=blur_beams,
     positions=beam_positions,
     information=beam_information,
-    check=lambda scans, params: scans,
+    check=check_beam_looks,
 )
 
 

@@ -4,7 +4,9 @@ import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 
+from jaxtrack.numerics.checks import check_known, check_positive, check_probability
 from jaxtrack.types import Array
 
 
@@ -23,6 +25,23 @@ class BeamSonar(NamedTuple):
     sector_rad: Array | float = math.pi / 2  # all beams together, symmetric about straight ahead
     mount_m: Array | tuple[float, float] = (0.0, 0.0)  # [2] in the body frame
     clutter_in_missed_beam: Array | float = 0.0  # 0: as in the paper; 1: as at sea
+
+
+def check_sonar(sonar: BeamSonar) -> None:
+    """Check what is known of a sonar.
+
+    Raises:
+        ValueError: a probability outside [0, 1], a negative noise, a scope or sector that is none.
+
+    Example:
+        >>> check_sonar(BeamSonar())
+    """
+    for name in ("p_miss", "p_false", "clutter_in_missed_beam"):
+        check_probability(f"sonar.{name}", getattr(sonar, name), jnp.result_type(float))
+    amount = lambda x: (x >= 0) & np.isfinite(x)
+    check_known("sonar.sigma_m", sonar.sigma_m, amount, "a number of metres of at least 0")
+    for name in ("range_max_m", "sector_rad"):
+        check_positive(f"sonar.{name}", getattr(sonar, name), jnp.result_type(float))
 
 
 def beam_bearings(sonar: BeamSonar, *, beams: int, dtype: jnp.dtype) -> Array:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from jaxtrack.types import Array, Scan
+from jaxtrack.types import Array, BeamScan, Scan
 
 
 def check_array(name: str, value: Any, *, shape: tuple[int | str, ...] | None = None) -> None:
@@ -173,23 +173,60 @@ def check_scans(scans: Scan) -> Scan:
     for name, shape in wanted.items():
         if getattr(scans, name) is not None:
             check_array(f"scans.{name}", getattr(scans, name), shape=shape)
-    if not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scans)):
-        _check_looks(scans)
+    finite = _finite("scans.position_m", scans, scans.position_m)
     return scans._replace(
-        valid=scans.valid & jnp.isfinite(scans.time_s),
-        mask=scans.mask & jnp.isfinite(scans.position_m).all(-1),
+        valid=scans.valid & jnp.isfinite(scans.time_s), mask=scans.mask & finite.all(-1)
     )
 
 
-def _check_looks(scans: Scan) -> None:
-    """Refuse live positions that are no numbers, and times of valid looks that run back."""
-    valid = np.asarray(scans.valid)
-    live = np.asarray(scans.mask) & valid[:, None]
-    broken = np.argwhere(live & ~np.isfinite(np.asarray(scans.position_m)).all(-1))
-    if len(broken):
-        look, place = broken[0]
-        got = np.asarray(scans.position_m)[look, place]
-        raise ValueError(f"scans.position_m: got {got} at [{look}, {place}], want finite numbers")
-    time_s = np.asarray(scans.time_s)[valid]
-    if not np.isfinite(time_s).all() or (np.diff(time_s) < 0).any():
-        raise ValueError(f"scans.time_s: got {time_s}, want finite times that do not run back")
+def check_beam_scans(scans: BeamScan) -> BeamScan:
+    """Return stacked looks that are sound: floating ranges [K, B], and fields that fit them.
+
+    What `check_scans` says of positions is said here of ranges.
+
+    Raises:
+        TypeError: ranges are not floating numbers.
+        ValueError: a shape differs, a look has no beam, a value is not sound.
+
+    Example:
+        >>> from jaxtrack.types import Pose
+        >>> scans = BeamScan(jnp.zeros(3), jnp.ones(3, bool), jnp.ones((3, 4)), jnp.ones((3, 4), bool),
+        ...                  Pose(jnp.zeros((3, 2)), jnp.zeros(3)))
+        >>> print(check_beam_scans(scans).mask.sum())
+        12
+    """  # noqa: E501
+    check_array("scans.range_m", scans.range_m, shape=("K", "B"))
+    dtype = jnp.result_type(scans.range_m)
+    if not jnp.issubdtype(dtype, jnp.floating):
+        raise TypeError(f"scans.range_m: got dtype {dtype}, want floating numbers")
+    looks, beams = jnp.shape(scans.range_m)
+    check_size("scans.range_m, beams", beams)
+    wanted = {"time_s": (looks,), "valid": (looks,), "mask": (looks, beams)}
+    for name, shape in (wanted | {"weight": (looks, beams)}).items():
+        if getattr(scans, name) is not None:
+            check_array(f"scans.{name}", getattr(scans, name), shape=shape)
+    check_array("scans.pose.position_m", scans.pose.position_m, shape=(looks, 2))
+    check_array("scans.pose.heading_rad", scans.pose.heading_rad, shape=(looks,))
+    finite = _finite("scans.range_m", scans, scans.range_m[..., None])
+    return scans._replace(
+        valid=scans.valid & jnp.isfinite(scans.time_s), mask=scans.mask & finite.all(-1)
+    )
+
+
+def _finite(name: str, scans: Scan | BeamScan, places: Any) -> Array:
+    """Return where places [K, N, D] are finite; refuse known looks with live ones that are not.
+
+    Nor may the times of known valid looks run back.
+    """
+    if not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scans)):
+        valid = np.asarray(scans.valid)
+        live = np.asarray(scans.mask) & valid[:, None]
+        broken = np.argwhere(live & ~np.isfinite(np.asarray(places)).all(-1))
+        if len(broken):
+            look, place = broken[0]
+            got = np.asarray(places)[look, place]
+            raise ValueError(f"{name}: got {got} at [{look}, {place}], want finite numbers")
+        time_s = np.asarray(scans.time_s)[valid]
+        if not np.isfinite(time_s).all() or (np.diff(time_s) < 0).any():
+            raise ValueError(f"scans.time_s: got {time_s}, want finite times that do not run back")
+    return jnp.isfinite(places)

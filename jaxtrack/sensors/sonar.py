@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack.models.frames import earth_to_polar, polar_to_earth
-from jaxtrack.models.sonar import BeamSonar, beam_bearings
+from jaxtrack.models.sonar import BeamSonar, beam_bearings, check_sonar
 from jaxtrack.numerics.checks import check_array, check_choice, check_size
 from jaxtrack.numerics.safe import safe_min
 from jaxtrack.sensors.echoes import Echo, echo_amplitudes
@@ -57,7 +57,8 @@ def observe_beams(
         Scans whose every look is valid; silent beams hold zero, their mask is False.
 
     Raises:
-        ValueError: shapes that do not fit each other, or an unknown word.
+        ValueError: shapes that do not fit each other, an unknown word, or a known value of the
+            sonar that cannot be.
 
     Example:
         >>> state = jnp.array([[[80.0, 1.0, 0.0, 0.0]]])
@@ -111,6 +112,7 @@ def observe_known_beams(
     check_array("pose.heading_rad", pose.heading_rad, shape=(looks,))
     check_size("beams", beams)
     check_choice("false_alarms", false_alarms, FALSE_ALARMS)
+    check_sonar(sonar)
     dtype = truth.state.dtype
     keys = jax.random.split(key, 7)
     p_false = jnp.asarray(sonar.p_false, dtype)

@@ -104,6 +104,7 @@ def run(context: Context) -> None:
         if table is not None and table.sizes["trial"]:
             for part in csht_report.errors(table, title):
                 say(part)
+    say(csht_report.effective_samples(table_2["literal"]))
     rows = csht_report.marks(table_2, generated)
     say(failed_table("Marks, fixed beforehand", rows))
     say(
@@ -230,6 +231,7 @@ def _dataset(outcomes: Sequence[Outcome]) -> xr.Dataset:
         "targets": each("targets"),
         "passes_at_truth": each("passes_at_truth"),
         "overflow": each("overflow"),
+        "effective_samples": each("effective_samples"),
         "within": each("within"),
     }
     rates = {name: ("cell", [getattr(c, name) for c in CELLS]) for name in Rates._fields}

@@ -84,6 +84,20 @@ def errors(table: xr.Dataset, title: str) -> list[Table]:
     return tables
 
 
+def effective_samples(table: xr.Dataset) -> str:
+    """Return in a sentence how many samples the floor's posterior means stand on.
+
+    Args:
+        table: [cell, trial], the fewest of a trial's targets.
+    """
+    fewest = table.effective_samples.values
+    low, middle = np.quantile(fewest, (0.01, 0.5))
+    return (
+        f"Effective samples of the floor's posterior mean, the fewest of a run's targets: median "
+        f"{middle:.0f}, in one run of a hundred below {low:.0f}."
+    )
+
+
 def exact(table: xr.Dataset) -> xr.DataArray:
     """Return in which runs an estimator reports as many targets as there are."""
     return table["count"] == table.targets

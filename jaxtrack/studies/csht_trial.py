@@ -60,6 +60,7 @@ class Outcome(NamedTuple):
     targets: Array  # that there are
     passes_at_truth: Array  # the evidence found from every target's true path passes the gate
     overflow: Array  # a table of the joint vote was too small
+    effective_samples: Array  # of the floor's posterior mean, the fewest of all targets
     within: Array  # the scene keeps to the limits of random scenes
 
 
@@ -104,7 +105,10 @@ def trial(false_alarms: str) -> Callable[[Key, Inputs], Outcome]:
             lambda x: joint.evidence(x, scans, sensor, SPEED, samples=samples, observation=BEAMS)[2]
         )(truth)
         passes = ((score >= jnp.asarray(inputs.gate, score.dtype)) | ~there).all()
-        return Outcome(errors, there.sum(), passes, info.overflow, jnp.asarray(True))
+        effective = jnp.where(there, means.effective_samples, jnp.inf).min()
+        return Outcome(
+            errors, there.sum(), passes, info.overflow, effective, within=jnp.asarray(True)
+        )
 
     return run
 

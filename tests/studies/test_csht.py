@@ -22,6 +22,7 @@ def made_up(cells, share_right=1.0, joint=1.05, trials=200):
             "count": (dims, count),
             "targets": (dims[:2], np.full(shape[:2], 3)),
             "passes_at_truth": (dims[:2], np.ones(shape[:2], bool)),
+            "effective_samples": (dims[:2], np.full(shape[:2], 321.0)),
         },
         coords={"estimator": list(names), **rates},
     )
@@ -102,3 +103,7 @@ def test_cells_are_named():
     assert csht_report.cell_name(0.1, 0.7, 3.0) == "P_M .1, P_F .7, σ 3 m"
     assert csht.CELLS[0] == pytest.approx((0.1, 0.1, 3.0))
     assert len(csht.CELLS) == 20
+
+
+def test_the_floors_samples_are_told():
+    assert "median 321" in csht_report.effective_samples(made_up(csht.CELLS))
