@@ -5,7 +5,7 @@ drawn over the sector of the paper's vehicle, three in most scenes, else one, tw
 evolution: each generation draws new scenes and multiplies the parameters of the best so far by
 log-normal factors; the last winners are compared on scenes that none of them has seen.
 
-    python benchmarks/search_csht.py --generations 40 --seed 0
+    python benchmarks/search_csht.py --generations 30 --seed 0
 """
 
 import argparse
@@ -27,8 +27,7 @@ from jaxtrack.studies.csht_trial import as_positions  # noqa: E402
 from jaxtrack.types import Truth  # noqa: E402
 
 MOST, SHARES = 4, (0.08, 0.12, 0.70, 0.10)  # targets, and how often there are 1, 2, 3, 4
-SPREAD = 0.12  # of the logarithms of the factors
-CHILDREN, SCENES, FINALISTS, FINAL_SCENES = 24, 256, 6, 2048
+CHILDREN, FINALISTS, FINAL_SCENES = 24, 6, 2048
 
 
 def random_scene(key):
@@ -82,10 +81,10 @@ def evaluate(key, candidates, scenes):
     return rows
 
 
-def vary(rng, params):
+def vary(rng, params, spread):
     """Return parameters times log-normal factors; the grids' ends stay, shares below one."""
     leaves, structure = jax.tree.flatten(params)
-    factor = np.exp(SPREAD * rng.normal(size=len(leaves)) * (rng.random(len(leaves)) < 0.4))
+    factor = np.exp(spread * rng.normal(size=len(leaves)) * (rng.random(len(leaves)) < 0.4))
     names = [path[-1].name for path, _ in jax.tree_util.tree_leaves_with_path(params)]
     kept = ("velocity_min_m_s", "position_min_m", "sigma_m")
     new = []
@@ -100,14 +99,16 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--generations", type=int, default=40)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--scenes", type=int, default=256, help="of a generation")
+    parser.add_argument("--spread", type=float, default=0.12, help="of the factors' logarithms")
     options = parser.parse_args()
     rng, key = np.random.default_rng(options.seed), jax.random.key(options.seed)
     best = jax.tree.map(jnp.asarray, ClusteringParams())
     winners = [best]
-    print(f"seed {options.seed}, {options.generations} generations of {CHILDREN} × {SCENES} scenes")
+    print(f"{options}, {CHILDREN} candidates a generation")
     for generation in range(options.generations):
-        candidates = [best, *(vary(rng, best) for _ in range(CHILDREN - 1))]
-        rows = evaluate(jax.random.fold_in(key, generation), candidates, SCENES)
+        candidates = [best, *(vary(rng, best, options.spread) for _ in range(CHILDREN - 1))]
+        rows = evaluate(jax.random.fold_in(key, generation), candidates, options.scenes)
         place = int(np.argmin([row[0] for row in rows]))
         score, shares, median = rows[place]
         if place:

@@ -121,6 +121,9 @@ def test_a_value_that_cannot_be_is_named(call, name, value):
         call(**{name: value})
 
 
+WINDOWS = (improved, neutrosophic, soft, standard, joint, clustering, initiate)
+
+
 @pytest.mark.parametrize("call", [improved, neutrosophic, joint, initiate])
 @pytest.mark.parametrize("speed", [hough.SpeedGate(-1.0, 5.0), hough.SpeedGate(5.0, 5.0)])
 def test_speeds_that_are_no_range_are_named(call, speed):
@@ -138,9 +141,7 @@ def test_grids_and_extractors_that_cannot_be_are_named(call):
         call(grid=hough.Grid(rho_max_m=0.0))
 
 
-@pytest.mark.parametrize(
-    "call", [improved, neutrosophic, soft, standard, joint, clustering, initiate]
-)
+@pytest.mark.parametrize("call", WINDOWS)
 @pytest.mark.parametrize(
     ("field", "value"),
     [("position_m", GOOD.position_m.at[1, 1].set(INF)), ("time_s", GOOD.time_s[::-1])],

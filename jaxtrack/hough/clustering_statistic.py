@@ -54,13 +54,13 @@ class ClusteringParams(NamedTuple):
     three targets.
     """
 
-    x: LineGrid = LineGrid(-9.8, 0.245, -49.7, 5.0)
-    y: LineGrid = LineGrid()
-    cell_share: Array | float = 0.55  # λ, of the strongest cell's votes
-    line_share: Array | float = 0.59  # the same for the single line of the second coordinate
-    velocity_scale_s: Array | float = 7.1  # clusters are found in (scale · v, n0 + τ v), metres
-    cluster_time_s: Array | float = 3.35  # τ, after the window's first look
-    isodata: IsodataParams = IsodataParams(2.12, 0.17, 2.4, 0.2, 0.54, 0.7, 0.08)
+    x: LineGrid = LineGrid(-9.8, 0.2094, -49.7, 6.63)
+    y: LineGrid = LineGrid(-6.0, 0.1464, -40.0, 6.2)
+    cell_share: Array | float = 0.504  # λ, of the strongest cell's votes
+    line_share: Array | float = 0.615  # the same for the single line of the second coordinate
+    velocity_scale_s: Array | float = 4.783  # clusters are found in (scale · v, n0 + τ v), metres
+    cluster_time_s: Array | float = 2.06  # τ, after the window's first look
+    isodata: IsodataParams = IsodataParams(2.452, 0.16, 3.396, 0.2, 0.403, 0.484, 0.0515)
     sigma_m: Array | float = 3.0  # noise of a position, for the covariance only
 
 

@@ -14,7 +14,8 @@ from jaxtrack.numerics.checks import check_choice
 from jaxtrack.plots.style import COLOURS, INK, WIDTH_IN, dress, say_empty, style
 from jaxtrack.types import Scan, Tracks, Truth
 
-_LABELS = {"x_y": ("x, km", "y, km"), "north_east": ("east, km", "north, km")}
+_NAMES = {"x_y": ("x", "y"), "north_east": ("east", "north")}
+_KILOMETRES_FROM = 2000.0  # of the larger side, metres
 
 
 def scene(
@@ -47,9 +48,9 @@ def scene(
 
     Source: neutrosophic Hough transform (2018), figures 4–6 and 12–14.
     """
-    check_choice("axes", axes, tuple(_LABELS))
+    check_choice("axes", axes, tuple(_NAMES))
     order = [0, 1] if axes == "x_y" else [1, 0]
-    km = lambda position_m: np.asarray(position_m, np.float64)[..., :2][..., order] / 1000.0
+    place = lambda position_m: np.asarray(position_m, np.float64)[..., :2][..., order]
     shown: list[np.ndarray] = []
     with style():
         figure = Figure(figsize=(WIDTH_IN, 4.5), layout="constrained")
@@ -57,14 +58,18 @@ def scene(
         figure.get_layout_engine().set(h_pad=0.1)  # type: ignore[union-attr, call-arg]
         plane = figure.add_subplot()
         if scans is not None:
-            shown.append(_detections(figure, plane, scans, km))
+            shown.append(_detections(figure, plane, scans, place))
         if truth is not None:
-            shown.append(_truth(plane, truth, km))
+            shown.append(_truth(plane, truth, place))
         if tracks is not None:
-            shown.append(_tracks(plane, tracks, _paths_m(tracks, scans, truth, smoothed_m), km))
+            shown.append(_tracks(plane, tracks, _paths_m(tracks, scans, truth, smoothed_m), place))
         everything = np.concatenate([np.zeros((0, 2)), *shown])
         _frame(figure, plane, everything)
-        plane.set(xlabel=_LABELS[axes][0], ylabel=_LABELS[axes][1])
+        far = len(everything) > 0 and np.ptp(everything, axis=0).max() >= _KILOMETRES_FROM
+        for axis, name in zip((plane.xaxis, plane.yaxis), _NAMES[axes], strict=True):
+            axis.set_label_text(f"{name}, {'km' if far else 'm'}")
+            if far:
+                axis.set_major_formatter(lambda metres, _: f"{metres / 1000:g}")
         dress(plane)
         plane.set_title(title, loc="left", fontweight="bold")
         handles, labels = plane.get_legend_handles_labels()
@@ -75,9 +80,9 @@ def scene(
     return figure
 
 
-def _detections(figure: Figure, plane: Axes, scans: Scan, km: Any) -> np.ndarray:
+def _detections(figure: Figure, plane: Axes, scans: Scan, place: Any) -> np.ndarray:
     counts = np.asarray(scans.mask) & np.asarray(scans.valid)[:, None]
-    position = km(scans.position_m)[counts]
+    position = place(scans.position_m)[counts]
     if not len(position):
         return position
     time_s = np.asarray(scans.time_s, np.float64)
@@ -95,8 +100,8 @@ def _detections(figure: Figure, plane: Axes, scans: Scan, km: Any) -> np.ndarray
     return position
 
 
-def _truth(plane: Axes, truth: Truth, km: Any) -> np.ndarray:
-    position, mask = km(truth.state), np.asarray(truth.mask)
+def _truth(plane: Axes, truth: Truth, place: Any) -> np.ndarray:
+    position, mask = place(truth.state), np.asarray(truth.mask)
     for target in range(mask.shape[1]):
         path = position[mask[:, target], target]
         label = "truth" if target == 0 else None
@@ -105,17 +110,19 @@ def _truth(plane: Axes, truth: Truth, km: Any) -> np.ndarray:
     return position[mask]
 
 
-def _tracks(plane: Axes, tracks: Tracks, path_m: np.ndarray, km: Any) -> np.ndarray:
+def _tracks(plane: Axes, tracks: Tracks, path_m: np.ndarray, place: Any) -> np.ndarray:
     live = np.flatnonzero(np.asarray(tracks.mask))
     mean = np.asarray(tracks.mean, np.float64)
     ends = [np.zeros((0, 2))]
-    for place, slot in enumerate(live):
-        colour = COLOURS[place % len(COLOURS)]
-        path, here = km(path_m[slot]), km(mean[slot, :2])
+    for n, slot in enumerate(live):
+        colour = COLOURS[n % len(COLOURS)]
+        path, here = place(path_m[slot]), place(mean[slot, :2])
         label = f"track {np.asarray(tracks.identity)[slot]}"
         plane.plot(*path.T, color=colour, lw=2.2, alpha=0.85, zorder=4, label=label)
         # A tenth of the way it has come, so that slow and fast scenes look alike.
-        ahead = km(mean[slot, 2:4]) * max(_duration_s(path_m[slot], mean[slot, 2:4]), 1e-9) * 0.12
+        ahead = (
+            place(mean[slot, 2:4]) * max(_duration_s(path_m[slot], mean[slot, 2:4]), 1e-9) * 0.12
+        )
         arrow = {"arrowstyle": "-|>", "color": colour, "lw": 2.2, "shrinkA": 0, "shrinkB": 0}
         plane.annotate("", here + ahead, here, arrowprops=arrow, zorder=5)
         ends += [path, here[None], (here + ahead)[None]]

@@ -46,6 +46,8 @@ def test_scene_shows_every_detection_and_only_live_tracks(crossing, tmp_path):
     states = np.concatenate([np.asarray(truth.state[-1]), np.zeros((1, 4))])
     figure = plots.scene(scans, truth, three_tracks(12.0, states), title="crossing")
     plane = figure.axes[0]
+    assert plane.get_xlabel() == "x, km"
+    assert plane.xaxis.get_major_formatter()(2500.0, 0) == "2.5"
     assert plane.get_title(loc="left") == "crossing"
     assert len(plane.collections[0].get_offsets()) == int(scans.mask.sum())
     assert legend(figure) == ["truth", "track 10", "track 11", "track 12"]
@@ -53,8 +55,8 @@ def test_scene_shows_every_detection_and_only_live_tracks(crossing, tmp_path):
     # Without smoothed positions a track is drawn along its velocity, back to the first look.
     for target in range(3):
         path = by_label[f"track {10 + target}"].get_xydata()
-        np.testing.assert_allclose(path, np.asarray(truth.state[:, target, :2]) / 1e3, atol=1e-6)
-    low, high = np.asarray(truth.state).min((0, 1)) / 1e3, np.asarray(truth.state).max((0, 1)) / 1e3
+        np.testing.assert_allclose(path, np.asarray(truth.state[:, target, :2]), atol=1e-3)
+    low, high = np.asarray(truth.state).min((0, 1)), np.asarray(truth.state).max((0, 1))
     assert plane.get_xlim()[0] < low[0] < high[0] < plane.get_xlim()[1]
     assert plane.get_ylim()[0] < low[1] < high[1] < plane.get_ylim()[1]
     draw(figure, tmp_path)
@@ -66,8 +68,8 @@ def test_scene_draws_north_upwards_and_smoothed_positions(crossing):
     smoothed = np.array([[[0.0, 4000.0], [1000.0, 5000.0]], [[np.nan] * 2] * 2])
     figure = plots.scene(None, None, tracks, smoothed_m=smoothed, axes="north_east")
     plane = figure.axes[0]
-    assert (plane.get_xlabel(), plane.get_ylabel()) == ("east, km", "north, km")
-    np.testing.assert_allclose(plane.get_lines()[0].get_xydata(), [[4.0, 0.0], [5.0, 1.0]])
+    assert (plane.get_xlabel(), plane.get_ylabel()) == ("east, m", "north, m")
+    np.testing.assert_allclose(plane.get_lines()[0].get_xydata(), [[4000.0, 0.0], [5000.0, 1000.0]])
     with pytest.raises(ValueError, match="axes: got 'up'"):
         plots.scene(scans, truth, None, axes="up")
 
@@ -78,7 +80,8 @@ def test_scene_ignores_masked_detections_that_are_nan():
     scans = Scan(np.arange(2.0), np.ones(2, bool), position, mask)  # pyright: ignore
     figure = plots.scene(scans, None, None)
     assert len(figure.axes[0].collections[0].get_offsets()) == 2
-    assert figure.axes[0].get_xlim()[1] < 0.1
+    assert figure.axes[0].get_xlim()[1] < 100.0
+    assert figure.axes[0].get_xlabel() == "x, m"
 
 
 def test_scene_without_anything_is_an_empty_map(tmp_path):
