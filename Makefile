@@ -18,8 +18,8 @@ reproduce-full: $(RUN) ## the stated numbers of trials; says beforehand how long
 	$(BIN)/jaxtrack reproduce --full
 
 test: $(DEV) ## everything but the slow tests
-	$(BIN)/python -m pytest -n 2 -m "not slow" tests
-	$(CACHED) $(BIN)/python -m pytest -n 2 --doctest-modules jaxtrack
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow" tests
+	$(CACHED) $(BIN)/python -m pytest -n 2 --dist worksteal --doctest-modules jaxtrack
 
 test-slow: $(DEV) ## the long ones: marks on rates, memory
 	$(BIN)/python -m pytest -m slow tests

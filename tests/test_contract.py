@@ -67,7 +67,12 @@ ESTIMATORS = {
     ),
 }
 # These differ from others by a rule or two, and compile as long.
-VARIANTS = ("neutrosophic, both cells", "neutrosophic, scaled", "improved, smoothed")
+VARIANTS = (
+    "neutrosophic, own cell",
+    "neutrosophic, both cells",
+    "neutrosophic, scaled",
+    "improved, smoothed",
+)
 every_estimator = pytest.mark.parametrize(
     "name",
     [

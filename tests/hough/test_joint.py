@@ -346,9 +346,9 @@ def test_gradients_are_those_of_the_maximum():
     for seed in (0, 3):
         scan = random_scene(seed)
         # The search ends after some steps, and one Newton step from there is not yet the maximum:
-        # what one sees by moving its inputs is the maximum's slope, but not to 1e-10.
+        # what one sees by moving its inputs is the maximum's slope to seven digits.
         arguments = (scan.position_m / 100.0, scan.weight, scan.delay_s / 0.1, sensor)
-        assert_gradients_agree(loss, *arguments, rtol=1e-5, atol=1e-6)
+        assert_gradients_agree(loss, *arguments, rtol=1e-6, atol=1e-7)
     gradients = jax.jit(jax.grad(loss, argnums=(0, 1, 2, 3)))(*arguments)
     assert all(np.abs(g).max() > 1e-3 for g in gradients)
 

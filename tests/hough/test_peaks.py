@@ -160,7 +160,13 @@ METHODS = {
 }
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in ("improved", "spread") else pytest.param(name, marks=pytest.mark.slow)
+        for name in METHODS
+    ],
+)
 def test_few_candidates_find_the_lines_of_all(name):
     method, params, static, smoothing = METHODS[name]
     scene = crossing_targets("IV", clutter_per_scan=20.0)

@@ -119,6 +119,7 @@ def test_one_look_or_no_detection_starts_no_track():
         assert why in info.notes[0]
 
 
+@pytest.mark.slow
 def test_two_looks_are_enough_to_try():
     scans = jax.tree.map(lambda x: x[:2], two_targets())
     tracks, info = initiate_window(scans, method="improved", false_per_run=1.0)
