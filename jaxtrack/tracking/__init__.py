@@ -1,6 +1,12 @@
 """Stages wired together: from lines to tracks, from a recording to tracks, from look to look."""
 
 from jaxtrack.tracking.initiate import InitiateInfo, InitiateParams, initiate
+from jaxtrack.tracking.kalman_tracker import (
+    KalmanTrackerInfo,
+    KalmanTrackerParams,
+    KalmanTrackerState,
+    kalman_tracker,
+)
 from jaxtrack.tracking.lifecycle import (
     Births,
     LifecycleParams,
@@ -17,6 +23,9 @@ __all__ = [
     "Births",
     "InitiateInfo",
     "InitiateParams",
+    "KalmanTrackerInfo",
+    "KalmanTrackerParams",
+    "KalmanTrackerState",
     "LifecycleParams",
     "SlidingInfo",
     "TrackTable",
@@ -26,5 +35,6 @@ __all__ = [
     "grade",
     "initiate",
     "initiate_window",
+    "kalman_tracker",
     "sliding",
 ]
