@@ -24,6 +24,9 @@ from jaxtrack.metrics.initiation import (
 )
 from jaxtrack.metrics.lines import least_squares_line, line_distance
 from jaxtrack.metrics.ospa import Ospa, ospa
+from jaxtrack.metrics.ospa2 import ospa2, ospa2_over_time
+from jaxtrack.metrics.over_time import OspaOverTime, ospa_over_time
+from jaxtrack.metrics.trajectories import Trajectories, trajectories
 
 __all__ = [
     "MAX_DISCRIMINATION",
@@ -32,7 +35,9 @@ __all__ = [
     "KnownDetections",
     "LeastSquares",
     "Ospa",
+    "OspaOverTime",
     "PosteriorMean",
+    "Trajectories",
     "all_pass_at_truth",
     "decline",
     "divergence",
@@ -43,4 +48,8 @@ __all__ = [
     "least_squares_line",
     "line_distance",
     "ospa",
+    "ospa2",
+    "ospa2_over_time",
+    "ospa_over_time",
+    "trajectories",
 ]
