@@ -27,6 +27,7 @@ from jaxtrack.metrics.ospa import Ospa, ospa
 from jaxtrack.metrics.ospa2 import ospa2, ospa2_over_time
 from jaxtrack.metrics.over_time import OspaOverTime, ospa_over_time
 from jaxtrack.metrics.trajectories import Trajectories, trajectories
+from jaxtrack.metrics.trajectory_gospa import TrajectoryGospa, trajectory_gospa
 
 __all__ = [
     "MAX_DISCRIMINATION",
@@ -38,6 +39,7 @@ __all__ = [
     "OspaOverTime",
     "PosteriorMean",
     "Trajectories",
+    "TrajectoryGospa",
     "all_pass_at_truth",
     "decline",
     "divergence",
@@ -52,4 +54,5 @@ __all__ = [
     "ospa2_over_time",
     "ospa_over_time",
     "trajectories",
+    "trajectory_gospa",
 ]
