@@ -105,8 +105,8 @@ def cutoff_distances(
     check_array("truths_mask", truths_mask, shape=(jnp.shape(truths)[0],))
     check_array("cutoff", cutoff, shape=())
     check_array("order", order, shape=())
-    _check_known("cutoff", cutoff, lambda c: 0 < c < np.inf, "a positive number")
-    _check_known("order", order, lambda p: 1 <= p < np.inf, "a number of at least 1")
+    check_known("cutoff", cutoff, lambda c: 0 < c < np.inf, "a positive number")
+    check_known("order", order, lambda p: 1 <= p < np.inf, "a number of at least 1")
 
     dtype = jnp.result_type(estimates, truths, float)
     cutoff, order = jnp.asarray(cutoff, dtype), jnp.asarray(order, dtype)
@@ -126,7 +126,7 @@ def _fill(points: Array, mask: Array) -> tuple[Array, Array]:
     return jnp.pad(points, ((0, absent), (0, 0))), jnp.pad(mask, (0, absent))
 
 
-def _check_known(name: str, value: Any, fits: Callable[[Any], bool], want: str) -> None:
+def check_known(name: str, value: Any, fits: Callable[[Any], bool], want: str) -> None:
     """Refuse a value that is known and does not fit; a traced one is taken as it is."""
     if not isinstance(value, Tracer) and not fits(np.asarray(value)):
         raise ValueError(f"{name}: got {value}, want {want}")

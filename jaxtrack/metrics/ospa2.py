@@ -56,8 +56,8 @@ def ospa2(
 
     Source:
         Beard, Vo and Vo, "OSPA(2): Using the OSPA metric to evaluate multi-target tracking
-        performance" (2017), equations 7 to 9; "A Solution for Large-Scale Multi-Object Tracking"
-        (2020), section V-A, there with weights of the looks, which are equal here.
+        performance" (2017); "A Solution for Large-Scale Multi-Object Tracking" (2020), there with
+        weights of the looks, which are equal here.
     """  # noqa: E501
     check_array("estimates", estimates, shape=("T", "I", "D"))
     looks, _, dimension = jnp.shape(estimates)
@@ -109,7 +109,7 @@ def ospa2_over_time(
         >>> print(curve.distance)
         [6. 6. 4. 2.]
 
-    Source: Beard, Vo and Vo (2017), section IV.
+    Source: Beard, Vo and Vo (2017).
     """
     check_size("window", window)
     check_array("estimates_mask", estimates_mask, shape=("T", "I"))

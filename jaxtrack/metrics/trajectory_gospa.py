@@ -89,7 +89,7 @@ def trajectory_gospa(
 
     Source:
         García-Fernández, Rahmathullah and Svensson, "A Metric on the Space of Finite Sets of
-        Trajectories for Evaluation of Multi-Target Tracking Algorithms" (2020), definition 1: the
+        Trajectories for Evaluation of Multi-Target Tracking Algorithms" (2020): the
         multi-dimensional assignment itself, not its relaxation to a linear programme.
 
     Note:
