@@ -76,6 +76,28 @@ def cutoff_costs(
         >>> cutoff_costs(point, there, point + 3.0, there, cutoff=1.0, order=2.0).cost.tolist()
         [[1.0]]
     """
+    plain = cutoff_distances(
+        estimates, estimates_mask, truths, truths_mask, cutoff=cutoff, order=order
+    )
+    return plain._replace(cost=safe_power(plain.cost, plain.order))
+
+
+def cutoff_distances(
+    estimates: Array,
+    estimates_mask: Array,
+    truths: Array,
+    truths_mask: Array,
+    *,
+    cutoff: Any,
+    order: Any,
+) -> CutoffCosts:
+    """Compute min(c, ‖x − y‖) / c for every pair, not raised to the power; else `cutoff_costs`.
+
+    Example:
+        >>> point, there = jnp.zeros((1, 1)), jnp.ones(1, bool)
+        >>> cutoff_distances(point, there, point + 3.0, there, cutoff=4.0, order=2.0).cost.tolist()
+        [[0.75]]
+    """
     check_array("estimates", estimates, shape=("M", "D"))
     rows, dimension = jnp.shape(estimates)
     check_array("estimates_mask", estimates_mask, shape=(rows,))
@@ -83,8 +105,8 @@ def cutoff_costs(
     check_array("truths_mask", truths_mask, shape=(jnp.shape(truths)[0],))
     check_array("cutoff", cutoff, shape=())
     check_array("order", order, shape=())
-    _check_known("cutoff", cutoff, lambda c: 0 < c < np.inf, "a positive number")
-    _check_known("order", order, lambda p: 1 <= p < np.inf, "a number of at least 1")
+    check_known("cutoff", cutoff, lambda c: 0 < c < np.inf, "a positive number")
+    check_known("order", order, lambda p: 1 <= p < np.inf, "a number of at least 1")
 
     dtype = jnp.result_type(estimates, truths, float)
     cutoff, order = jnp.asarray(cutoff, dtype), jnp.asarray(order, dtype)
@@ -92,8 +114,8 @@ def cutoff_costs(
     truths, truths_mask = _fill(jnp.asarray(truths, dtype), truths_mask)
 
     distance = safe_norm(estimates[:, None, :] - truths[None, :, :], axis=-1)
-    cost = safe_power(jnp.where(distance < cutoff, distance / cutoff, 1.0), order)
-    return CutoffCosts(cost, estimates_mask, truths_mask, cutoff, order)
+    share = jnp.where(distance < cutoff, distance / cutoff, 1.0)
+    return CutoffCosts(share, estimates_mask, truths_mask, cutoff, order)
 
 
 def _fill(points: Array, mask: Array) -> tuple[Array, Array]:
@@ -104,7 +126,7 @@ def _fill(points: Array, mask: Array) -> tuple[Array, Array]:
     return jnp.pad(points, ((0, absent), (0, 0))), jnp.pad(mask, (0, absent))
 
 
-def _check_known(name: str, value: Any, fits: Callable[[Any], bool], want: str) -> None:
+def check_known(name: str, value: Any, fits: Callable[[Any], bool], want: str) -> None:
     """Refuse a value that is known and does not fit; a traced one is taken as it is."""
     if not isinstance(value, Tracer) and not fits(np.asarray(value)):
         raise ValueError(f"{name}: got {value}, want {want}")

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from jaxtrack.metrics.cutoff import cutoff_costs, safe_power
+from jaxtrack.metrics.cutoff import CutoffCosts, cutoff_costs, safe_power
 from jaxtrack.numerics.assignment import assign
 from jaxtrack.types import Array
 
@@ -65,7 +65,17 @@ def ospa(
         The assignment minimizes the sum of the *powered* cut-off distances, as eq 42 demands. Some
         implementations assign on the plain ones, which is another number for p > 1.
     """
-    costs = cutoff_costs(estimates, estimates_mask, truths, truths_mask, cutoff=cutoff, order=order)
+    return ospa_of_costs(
+        cutoff_costs(estimates, estimates_mask, truths, truths_mask, cutoff=cutoff, order=order)
+    )
+
+
+def ospa_of_costs(costs: CutoffCosts) -> Ospa:
+    """Return the OSPA distance of two sets whose members' distances are given.
+
+    Args:
+        costs: of every pair, as `cutoff_costs` makes them.
+    """
     dtype = costs.cost.dtype
     estimated = jnp.sum(costs.estimates_mask, dtype=dtype)
     present = jnp.sum(costs.truths_mask, dtype=dtype)
