@@ -143,6 +143,8 @@ def kalman_tracker(
 
     motion: Move = constant_velocity if move is None else move
 
+    sees: Detect = (lambda mean, scan: jnp.ones((), mean.dtype)) if p_detect is None else p_detect
+
     def init(key: Key) -> KalmanTrackerState:
         zero = jnp.zeros((), as_float(params.sigma_m).dtype)
         table = empty_table(zero, tracks=max_tracks, state=4, looks=confirm_looks)
@@ -158,8 +160,7 @@ def kalman_tracker(
         noise_m2 = number(params.sigma_m) ** 2 * unit
         predicted = predict_measurement(mean, covariance, noise_m2, tracks.mask)
         detect = number(params.p_detect) * jnp.ones(max_tracks, dtype)
-        if p_detect is not None:
-            detect = detect * jax.vmap(lambda x: p_detect(x, scan))(mean)
+        detect = detect * jax.vmap(sees, (0, None))(mean, scan)
         known = AssociationParams(
             detect, number(params.clutter_per_m2), number(params.gate), number(params.echoes)
         )
