@@ -53,7 +53,7 @@ def test_initiate_writes_tracks_table_and_figure(run):
         assert float(row["time_s"]) == 1_700_000_060.0
         assert row["stage"] == "tentative"
     assert "gate " in out
-    assert "(joint: 0.02), 20 trials" in out
+    assert "20 scenes without targets" in out
     for heading in ("x, m", "y, m", "speed, m/s", "course, °", "sigma, m", "score", "looks"):
         assert heading in out
     assert "281." in out
@@ -78,6 +78,7 @@ def test_byte_order_mark_line_ends_and_semicolons_change_nothing(run):
     assert pathlib.Path("tracks.csv").read_bytes() == plain
 
 
+@pytest.mark.slow
 def test_polar_file_far_from_zero_keeps_compass_axes(run):
     lines = ["time_s,range_m,bearing_deg,own_x_m,own_y_m"]
     for k in range(6):  # due east at 200 m/s, 1 km north of a ship at a UTM position

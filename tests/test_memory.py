@@ -81,6 +81,7 @@ def run(trials):
     return seen
 
 
+@pytest.mark.slow
 def test_two_thousand_realizations_stay_below_a_gibibyte():
     assert run(2_000)["peak_gib"] < 1.0
 

@@ -32,7 +32,7 @@ from jaxtrack.types import Array, Key, Scan, Stage, Tracks
 class ClusteringParams(NamedTuple):
     """Parameters of the clustering-statistic Hough transform. Traced.
 
-    The defaults, with K0 = `ClusteringSizes.start` = 3, come from `benchmarks/search_csht.py`, which
+    The defaults, with K0 = `ClusteringSizes.start` = 3, come from `benchmarks/search_csht.py`. It
     starts at the best so far: 30 generations of 24 settings on 256 scenes each, then 14 on 768 with
     factors half as wide. Its scenes are not the paper's: windows of 20 looks, P_M = P_F = 0.3, at
     most one false alarm a look, σ = 3 m; random straight targets, three in 70 % of the scenes, else

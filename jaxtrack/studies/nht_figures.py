@@ -103,7 +103,7 @@ def _initiated(scans: Scan, cell: Cell, method: str, params: InitiateParams) -> 
         cell.inputs.truth,
         tracks,
         smoothed_m=info.smoothed_m,
-        title=f"Initiated tracks, {LONG[method]}",
+        title=f"Initiated tracks, {LONG[method]}" + ("" if tracks.mask.any() else ": none"),
     )
 
 

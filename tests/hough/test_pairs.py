@@ -9,7 +9,7 @@ from hypothesis import given
 
 from jaxtrack.hough.pairs import candidate_pairs, pair_covariances
 from jaxtrack.types import Scan
-from tests.hough.cases import ORIGIN, SPEED, few, looks, random_looks
+from tests.hough.cases import ORIGIN, SHAPES, SPEED, few, looks, random_looks
 from tests.oracles import lines, pairs
 
 
@@ -53,7 +53,7 @@ def check(scan, *, gated, size=36):
 
 
 @few
-@given(looks())
+@given(looks(shapes=SHAPES[:1]))
 def test_pairs_equal_the_oracle_without_a_gate(scan):
     check(scan, gated=False)
 

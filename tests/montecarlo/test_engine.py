@@ -175,7 +175,9 @@ def smooth_loss(key, params):
     return jnp.sum(fit["coefficients"] ** 2) + jnp.sum(jnp.tanh(fit["sorted"]))
 
 
-@pytest.mark.parametrize(("trials", "first"), [(37, 0), (64, 5)])
+@pytest.mark.parametrize(
+    ("trials", "first"), [(37, 0), pytest.param(64, 5, marks=pytest.mark.slow)]
+)
 def test_gradient_equals_that_of_a_plain_loop_and_finite_differences(trials, first):
     key = jax.random.key(SEED)
 

@@ -107,6 +107,7 @@ def test_paths_meet_where_they_should_inside_the_field():
         assert straight[..., :2].max() < FIELD_M
 
 
+@pytest.mark.slow
 def test_what_does_not_fit_is_said():
     truth = meeting_targets(jax.random.key(0), Meeting(0.0, 8.0))
     crowded = observe_echoes(jax.random.key(1), truth, EchoSensor(), echoes=1, clutter=1)

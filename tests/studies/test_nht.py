@@ -188,6 +188,7 @@ def test_without_noise_a_targets_votes_meet_in_one_cell():
         assert np.median(decline[method]) == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_noise_scatters_pairs_more_than_detections():
     divergence, decline = words("II")
     # A detection's curve passes the true line at σ / Δρ = 2 cells.

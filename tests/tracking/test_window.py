@@ -59,6 +59,7 @@ def test_methods_without_a_speed_gate_run_on_few_detections(method):
     assert info.smoothed_m.shape == (8, 5, 2)
 
 
+@pytest.mark.slow
 def test_states_looks_and_paths_agree():
     tracks, info = initiate_window(two_targets(), false_per_run=1.0)
     order = np.argsort(np.asarray(tracks.mean)[:2, 0])
