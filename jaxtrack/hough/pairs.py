@@ -37,7 +37,7 @@ def check_speeds(speed: SpeedGate) -> None:
     slowest, fastest = speed
     check_known("speed.v_min_m_s", slowest, lambda v: v >= 0, "a speed of at least 0 m/s")
     if not isinstance(slowest, Tracer):
-        want = f"more than v_min_m_s, {slowest:g}"
+        want = f"more than v_min_m_s, {slowest}"
         check_known("speed.v_max_m_s", fastest, lambda v: v > np.asarray(slowest), want)
 
 

@@ -90,12 +90,12 @@ def extract(
     rho, theta = jnp.where(mask, rho, 0.0), jnp.where(mask, theta, 0.0)
     value = jnp.where(mask, evaluate(rho, theta, votes, kernel), 0.0)
 
-    def pick(left: Array, _: None) -> tuple[Array, Array]:
+    def pick(left: Array, _: None) -> tuple[Array, tuple[Array, Array]]:
         top = jnp.argmax(left)
         d_rho, d_theta = line_difference(rho[top], theta[top], rho, theta)
-        return jnp.where(_separate(d_rho, d_theta, peaks), left, 0.0), top
+        return jnp.where(_separate(d_rho, d_theta, peaks), left, 0.0), (top, left[top] > 0)
 
-    _, picked = jax.lax.scan(pick, jax.lax.stop_gradient(value), length=sizes.lines)
+    _, (picked, found) = jax.lax.scan(pick, jax.lax.stop_gradient(value), length=sizes.lines)
 
     prepared = kernel.prepare(votes)
 
@@ -107,7 +107,7 @@ def extract(
         return wrap_line(rho - shift(d_rho), theta - shift(d_theta))
 
     rho, theta = jax.lax.map(refine, (rho[picked], theta[picked]))
-    return _lines(rho, theta, value[picked], grid, peaks)
+    return _lines(rho, theta, jnp.where(found, value[picked], 0.0), grid, peaks)
 
 
 def extract_dense(accumulator: Array, grid: Grid, peaks: Peaks, *, sizes: Sizes) -> Lines:

@@ -142,6 +142,14 @@ def test_peaks_that_refinement_moves_together_are_one():
     np.testing.assert_allclose(lines.measured_from_zero(20.0, 1.0, ORIGIN), got.rho_m[0])
 
 
+@pytest.mark.parametrize("order", [[0, 1, 2], [1, 0, 2], [2, 1, 0]])
+def test_a_silenced_query_does_not_come_back_when_its_silencer_moves_away(order):
+    rho, weight = jnp.array([0.0, 48.0, 62.0])[jnp.array(order)], jnp.array([0.6, 1.0, 0.99])
+    table = Votes(rho, jnp.full(3, 1.0), weight[jnp.array(order)], jnp.ones(3, bool))
+    got = extract(table, table, gaussian(15.0, 0.05), GRID, PEAKS, sizes=SMALL)
+    assert got.mask.tolist() == [True, False, False, False]
+
+
 METHODS = {
     "improved": (improved, improved.ImprovedParams(), {}, 0),
     "improved, smoothed": (improved, improved.ImprovedParams(), {}, 2),
