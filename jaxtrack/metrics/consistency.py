@@ -5,8 +5,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxtrack.metrics.cutoff import check_known
-from jaxtrack.numerics.checks import check_array
+from jaxtrack.numerics.checks import check_array, check_known
 from jaxtrack.numerics.definite import rounding_floor, scaled_root
 from jaxtrack.numerics.safe import as_float, safe_divide
 from jaxtrack.types import Array

@@ -10,12 +10,14 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 
 from jaxtrack.filtering.gaussian import predicted_covariance
-from jaxtrack.metrics.cutoff import check_known
-from jaxtrack.numerics.checks import check_array
+from jaxtrack.numerics.checks import check_array, check_known, check_size
 from jaxtrack.numerics.definite import rounding_floor, scaled_cholesky, scaled_root
 from jaxtrack.numerics.masked import masked_mean
+from jaxtrack.numerics.safe import as_float
 from jaxtrack.types import Array
 
 
@@ -65,19 +67,23 @@ def measurement_information(
         `cramer_rao`.
     """
     check_array("states", states, shape=("N", "S"))
-    states = jnp.asarray(states)
+    check_size("number of states", jnp.shape(states)[0])
+    check_array("noise", noise, shape=("Z", jnp.shape(noise)[-1] if jnp.ndim(noise) else "Z"))
+    states = as_float(states)
     check_array("mask", mask, shape=states.shape[:1])
     if jnp.ndim(p_detect):
         check_array("p_detect", p_detect, shape=states.shape[:1])
-    check_known("p_detect", p_detect, lambda p: ((p >= 0) & (p <= 1)).all(), "probabilities")
     mask = jnp.asarray(mask, bool)
+    if not isinstance(mask, Tracer) and not isinstance(p_detect, Tracer):
+        known = np.where(mask, np.asarray(p_detect), 0.0)
+        check_known("p_detect", known, lambda p: (p >= 0) & (p <= 1), "probabilities")
     # Where a state is missing, the first that exists stands for it: its slope is finite.
     states = jnp.where(mask[:, None], states, states[jnp.argmax(mask)][None])
     states = jnp.where(mask.any(), states, 0.0)
     noise = jnp.asarray(noise, states.dtype)
     root, _ = scaled_root(noise, floor=rounding_floor(noise))
     slopes = jax.vmap(lambda state: root @ jax.jacfwd(measure)(state))(states)  # [N, Z, S]
-    detect = jnp.broadcast_to(jnp.asarray(p_detect, states.dtype), mask.shape)
+    detect = jnp.where(mask, jnp.asarray(p_detect, states.dtype), 0.0)
     each = detect[:, None, None] * jnp.einsum("nzs,nzr->nsr", slopes, slopes)
     return masked_mean(each, mask[:, None, None], axis=0)
 

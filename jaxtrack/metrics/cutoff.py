@@ -4,14 +4,12 @@ Everything here is in units of the cut-off c: (min(c, d) / c)^p lies in [0, 1] w
 so that neither large distances nor high orders overflow in float32.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 
-from jaxtrack.numerics.checks import check_array
+from jaxtrack.numerics.checks import check_array, check_known
 from jaxtrack.numerics.safe import safe_norm
 from jaxtrack.types import Array
 
@@ -105,8 +103,8 @@ def cutoff_distances(
     check_array("truths_mask", truths_mask, shape=(jnp.shape(truths)[0],))
     check_array("cutoff", cutoff, shape=())
     check_array("order", order, shape=())
-    check_known("cutoff", cutoff, lambda c: 0 < c < np.inf, "a positive number")
-    check_known("order", order, lambda p: 1 <= p < np.inf, "a number of at least 1")
+    check_known("cutoff", cutoff, lambda c: (c > 0) & np.isfinite(c), "a positive number")
+    check_known("order", order, lambda p: (p >= 1) & np.isfinite(p), "a number of at least 1")
 
     dtype = jnp.result_type(estimates, truths, float)
     cutoff, order = jnp.asarray(cutoff, dtype), jnp.asarray(order, dtype)
@@ -124,9 +122,3 @@ def _fill(points: Array, mask: Array) -> tuple[Array, Array]:
     points = jnp.where(mask[:, None], points, 0.0)
     absent = max(0, 1 - mask.size)  # the assignment wants no empty matrix
     return jnp.pad(points, ((0, absent), (0, 0))), jnp.pad(mask, (0, absent))
-
-
-def check_known(name: str, value: Any, fits: Callable[[Any], bool], want: str) -> None:
-    """Refuse a value that is known and does not fit; a traced one is taken as it is."""
-    if not isinstance(value, Tracer) and not fits(np.asarray(value)):
-        raise ValueError(f"{name}: got {value}, want {want}")

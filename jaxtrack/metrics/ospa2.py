@@ -112,7 +112,11 @@ def ospa2_over_time(
     Source: Beard, Vo and Vo (2017).
     """
     check_size("window", window)
-    check_array("estimates_mask", estimates_mask, shape=("T", "I"))
+    check_array("estimates", estimates, shape=("T", "I", "D"))
+    looks, tracks, dimension = jnp.shape(estimates)
+    check_array("estimates_mask", estimates_mask, shape=(looks, tracks))
+    check_array("truths", truths, shape=(looks, "K", dimension))
+    check_array("truths_mask", truths_mask, shape=jnp.shape(truths)[:2])
     before = lambda x: jnp.pad(jnp.asarray(x), ((window - 1, 0),) + ((0, 0),) * (jnp.ndim(x) - 1))
     padded = [before(x) for x in (estimates, estimates_mask, truths, truths_mask)]
 
@@ -120,4 +124,4 @@ def ospa2_over_time(
         here = [jax.lax.dynamic_slice_in_dim(x, look, window) for x in padded]
         return ospa2(*here, cutoff=cutoff, order=order)
 
-    return jax.vmap(at)(jnp.arange(jnp.shape(estimates_mask)[0]))
+    return jax.vmap(at)(jnp.arange(looks))

@@ -4,8 +4,8 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from jaxtrack.metrics.cutoff import check_known
-from jaxtrack.numerics.checks import check_array, check_size
+from jaxtrack.numerics.checks import check_array, check_known, check_size
+from jaxtrack.numerics.masked import masked_mean
 from jaxtrack.numerics.safe import safe_norm
 from jaxtrack.types import Array
 
@@ -15,12 +15,17 @@ class SwapLoss(NamedTuple):
 
     swap: Array  # [] each track follows the other's target
     loss: Array  # [] not exchanged, and a track is away from its own target
-    own_m: Array  # [2] mean distance of each track from its own target, in the last looks
+    own_m: Array  # [2] mean distance of each track from its own target, where it is, last looks
     crossed_m: Array  # [2] and from the other's
 
 
 def swap_and_loss(
-    estimates_m: Array, truths_m: Array, *, limit_m: Any = 3.0, looks: int = 3
+    estimates_m: Array,
+    truths_m: Array,
+    estimates_mask: Array | None = None,
+    *,
+    limit_m: Any = 3.0,
+    looks: int = 3,
 ) -> SwapLoss:
     """Judge two tracks by the last looks of a run.
 
@@ -30,8 +35,10 @@ def swap_and_loss(
     Distances are means over the last looks.
 
     Args:
-        estimates_m: [T, 2, D] positions of the tracks; NaN where one is gone, which is a loss.
+        estimates_m: [T, 2, D] positions of the tracks.
         truths_m: [T, 2, D] positions of the targets that they started on.
+        estimates_mask: [T, 2] where the tracks still are; None: everywhere. One that is gone in
+            one of the last looks is lost.
         limit_m: from where on a track has lost its target.
         looks: how many looks count, static.
 
@@ -56,10 +63,15 @@ def swap_and_loss(
     if jnp.shape(truths_m)[0] < looks:
         raise ValueError(f"estimates_m: got {jnp.shape(truths_m)[0]} looks, want at least {looks}")
     found, true = jnp.asarray(estimates_m)[-looks:], jnp.asarray(truths_m)[-looks:]
-    own = safe_norm(found - true).mean(0)
-    crossed = safe_norm(found - true[:, ::-1]).mean(0)
+    there = jnp.ones(found.shape[:2], bool)
+    if estimates_mask is not None:
+        check_array("estimates_mask", estimates_mask, shape=jnp.shape(estimates_m)[:2])
+        there = jnp.asarray(estimates_mask, bool)[-looks:]
+    found = jnp.where(there[..., None], found, 0.0)
+    mean = lambda apart: masked_mean(safe_norm(apart), there, axis=0)
+    own, crossed = mean(found - true), mean(found - true[:, ::-1])
     limit = jnp.asarray(limit_m, own.dtype)
-    swap = (crossed.sum() < own.sum()) & (crossed < limit).all()
-    # Not "at least the limit": a distance that is not a number is a loss too.
-    loss = ~swap & ~(own < limit).all()
+    kept = there.all()
+    swap = kept & (crossed.sum() < own.sum()) & (crossed < limit).all()
+    loss = ~swap & ~(kept & (own < limit).all())
     return SwapLoss(swap, loss, own, crossed)

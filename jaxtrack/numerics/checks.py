@@ -1,7 +1,7 @@
 """Entry checks: one place that words what is wrong with an argument's shape, dtype or static value.
 
 They look at shapes, dtypes and known values, so they cost nothing in compiled code. A traced value
-cannot be refused: there it is brought to where it does no harm.
+cannot be refused; `check_positive` and `check_probability` return what it then acts as.
 """
 
 import operator
@@ -120,7 +120,10 @@ def check_positive(name: str, value: Any, dtype: Any) -> Array:
     """
     fits = lambda x: (x > 0) & np.isfinite(x)
     check_known(name, value, fits, "a positive, finite number")
-    value, info = jnp.asarray(value, dtype), jnp.finfo(dtype)
+    if not isinstance(value, Tracer):
+        return jnp.asarray(value, dtype)
+    value = jnp.asarray(value, dtype)
+    dtype, info = value.dtype, jnp.finfo(value.dtype)
     least, most = jnp.asarray(info.eps, dtype), jnp.asarray(float(info.max) ** 0.25, dtype)
     return jnp.where(value > least, jnp.where(value < most, value, most), least)
 
@@ -173,10 +176,29 @@ def check_scans(scans: Scan) -> Scan:
     for name, shape in wanted.items():
         if getattr(scans, name) is not None:
             check_array(f"scans.{name}", getattr(scans, name), shape=shape)
-    finite = _finite("scans.position_m", scans, scans.position_m)
-    return scans._replace(
-        valid=scans.valid & jnp.isfinite(scans.time_s), mask=scans.mask & finite.all(-1)
-    )
+    _check_known_looks("scans.position_m", scans, scans.position_m)
+    return sound(scans)
+
+
+def sound(scan: Scan) -> Scan:
+    """Return looks, one or stacked, in which only detections count that are numbers throughout.
+
+    A look without a finite time is none, a detection without a finite place, covariance, weight or
+    delay is none.
+
+    Example:
+        >>> position = jnp.array([[0.0, jnp.nan], [1.0, 1.0]])
+        >>> scan = Scan(jnp.array(0.0), jnp.array(True), position, jnp.ones(2, bool))
+        >>> print(sound(scan).mask)
+        [False  True]
+    """
+    mask = scan.mask & jnp.isfinite(scan.position_m).all(-1)
+    if scan.covariance_m2 is not None:
+        mask = mask & jnp.isfinite(scan.covariance_m2).all((-1, -2))
+    for field in (scan.weight, scan.delay_s):
+        if field is not None:
+            mask = mask & jnp.isfinite(field)
+    return scan._replace(valid=scan.valid & jnp.isfinite(scan.time_s), mask=mask)
 
 
 def check_beam_scans(scans: BeamScan) -> BeamScan:
@@ -207,26 +229,25 @@ def check_beam_scans(scans: BeamScan) -> BeamScan:
             check_array(f"scans.{name}", getattr(scans, name), shape=shape)
     check_array("scans.pose.position_m", scans.pose.position_m, shape=(looks, 2))
     check_array("scans.pose.heading_rad", scans.pose.heading_rad, shape=(looks,))
-    finite = _finite("scans.range_m", scans, scans.range_m[..., None])
+    _check_known_looks("scans.range_m", scans, scans.range_m[..., None])
+    at = jnp.isfinite(scans.pose.position_m).all(-1) & jnp.isfinite(scans.pose.heading_rad)
     return scans._replace(
-        valid=scans.valid & jnp.isfinite(scans.time_s), mask=scans.mask & finite.all(-1)
+        valid=scans.valid & jnp.isfinite(scans.time_s) & at,
+        mask=scans.mask & jnp.isfinite(scans.range_m),
     )
 
 
-def _finite(name: str, scans: Scan | BeamScan, places: Any) -> Array:
-    """Return where places [K, N, D] are finite; refuse known looks with live ones that are not.
-
-    Nor may the times of known valid looks run back.
-    """
-    if not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scans)):
-        valid = np.asarray(scans.valid)
-        live = np.asarray(scans.mask) & valid[:, None]
-        broken = np.argwhere(live & ~np.isfinite(np.asarray(places)).all(-1))
-        if len(broken):
-            look, place = broken[0]
-            got = np.asarray(places)[look, place]
-            raise ValueError(f"{name}: got {got} at [{look}, {place}], want finite numbers")
-        time_s = np.asarray(scans.time_s)[valid]
-        if not np.isfinite(time_s).all() or (np.diff(time_s) < 0).any():
-            raise ValueError(f"scans.time_s: got {time_s}, want finite times that do not run back")
-    return jnp.isfinite(places)
+def _check_known_looks(name: str, scans: Scan | BeamScan, places: Any) -> None:
+    """Refuse known looks with live places [K, N, D] that are no numbers, or with broken times."""
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scans)):
+        return
+    valid = np.asarray(scans.valid)
+    live = np.asarray(scans.mask) & valid[:, None]
+    broken = np.argwhere(live & ~np.isfinite(np.asarray(places)).all(-1))
+    if len(broken):
+        look, place = broken[0]
+        got = np.asarray(places)[look, place]
+        raise ValueError(f"{name}: got {got} at [{look}, {place}], want finite numbers")
+    time_s = np.asarray(scans.time_s)[valid]
+    if not np.isfinite(time_s).all() or (np.diff(time_s) < 0).any():
+        raise ValueError(f"scans.time_s: got {time_s}, want finite times that do not run back")

@@ -8,9 +8,15 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxtrack.models.motion import propagate
-from jaxtrack.numerics.checks import check_array, check_size
+from jaxtrack.numerics.checks import (
+    check_array,
+    check_known,
+    check_probability,
+    check_size,
+)
 from jaxtrack.types import Array, Key, Scan, Truth
 
 FIELD_M = 35.0
@@ -130,7 +136,7 @@ def observe_echoes(
         clutter: places for clutter, static; likewise.
 
     Raises:
-        ValueError: a size below one.
+        ValueError: a size below one, or a known value of the sensor that cannot be.
 
     Example:
         >>> truth = meeting_targets(jax.random.key(0), Meeting(0.0, 8.0))
@@ -143,6 +149,11 @@ def observe_echoes(
     check_array("truth.state", truth.state, shape=("T", "K", 4))
     check_size("echoes", echoes)
     check_size("clutter", clutter)
+    check_probability("sensor.p_detect", sensor.p_detect, truth.state.dtype)
+    check_known("sensor.echoes", sensor.echoes, lambda x: x >= 1, "at least one echo")
+    for name in ("spread_m", "clutter_per_m2"):
+        amount = lambda x: (x >= 0) & np.isfinite(x)
+        check_known(f"sensor.{name}", getattr(sensor, name), amount, "a number of at least 0")
     dtype = truth.state.dtype
     looks, targets = truth.mask.shape
     keys = jax.random.split(key, 6)

@@ -55,14 +55,14 @@ def table_2(simulated: xr.Dataset, situations: dict[str, str]) -> Table:
             total = agree + len(against)
             names.append(f"{ours} {what}")
             verdict = f"{agree} of {total}" if total else "–"
-            if int(simulated.trials.max()) < SMOKE_BELOW:
+            if int(simulated.trials.min()) < SMOKE_BELOW:
                 verdict, against = "smoke", []
             cells.append(
                 [f"{_short(v)}{_UNITS[what]}, {w}" for v, w in zip(values, words, strict=True)]
                 + [verdict, "; ".join(against)]
             )
     columns = [*COMPARED, "orders agree", "not"]
-    trials = int(simulated.trials.max())
+    trials = int(simulated.trials.min())
     return grid_table("Table 2: ours, the paper's word", names, columns, cells, trials=trials)
 
 
@@ -107,7 +107,7 @@ def shares(scores: xr.Dataset, title: str, *, count: str, match_m: float) -> Tab
             cell = scores.sel(match=match_m, estimator=method, peaks=form)
             names.append(f"{method} {form}" if len(forms) > 1 else method)
             cells.append([number(float(x)) for x in (cell[count] / cell.trials).values])
-    trials = int(scores.trials.max())
+    trials = int(scores.trials.min())
     return grid_table(title, names, situations, cells, trials=trials)
 
 
@@ -126,7 +126,7 @@ def means(scores: xr.Dataset, title: str, *, match_m: float) -> Table:
             errors = f"{float(at.rho_rmse_m):.1f} m {float(at.theta_rmse_rad):.4f}"
             line.append(f"{counts}\n{errors}" if known else "–")
         cells.append(line)
-    return grid_table(title, names, situations, cells, trials=int(scores.trials.max()))
+    return grid_table(title, names, situations, cells, trials=int(scores.trials.min()))
 
 
 def gates(table: xr.Dataset) -> Table:

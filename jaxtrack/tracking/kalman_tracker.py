@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxtrack.association import (
     ASSOCIATORS,
@@ -30,6 +31,7 @@ from jaxtrack.numerics.checks import (
     check_positive,
     check_probability,
     check_size,
+    sound,
 )
 from jaxtrack.numerics.safe import as_float, safe_log
 from jaxtrack.tracking.lifecycle import (
@@ -78,7 +80,7 @@ class KalmanTrackerInfo(NamedTuple):
 
     tracks: Tracks  # at the look's time; after a look that is none, as they were
     weight: Array  # [T, N] how far each detection was each track's
-    born: Array  # [N] which detections started a track
+    candidates: Array  # [N] which detections were put up as new tracks
     full: Array  # [] a candidate found no free slot
     converged: Array  # [] the associator's
 
@@ -153,8 +155,10 @@ def kalman_tracker(
     def step(state: KalmanTrackerState, scan: Scan) -> tuple[KalmanTrackerState, KalmanTrackerInfo]:
         table, dtype = state.table, state.table.tracks.mean.dtype
         number = lambda x: jnp.asarray(x, dtype)
+        scan = _in(dtype, sound(scan))
         tracks = table.tracks
-        dt_s = jnp.where(scan.valid & tracks.mask.any(), number(scan.time_s) - tracks.time_s, 0.0)
+        time_s = jnp.where(scan.valid, scan.time_s, tracks.time_s)
+        dt_s = jnp.where(tracks.mask.any(), time_s - tracks.time_s, 0.0)
         mean, covariance = _predict(tracks, dt_s, motion)
         unit = jnp.eye(2, dtype=dtype)
         noise_m2 = number(params.sigma_m) ** 2 * unit
@@ -174,7 +178,7 @@ def kalman_tracker(
         gain = jnp.where(counted, safe_log(miss + ratio.sum(1)), 0.0)
         score = tracks.log_score + gain
         moved = tracks._replace(
-            time_s=number(scan.time_s),
+            time_s=time_s,
             mean=mean,
             covariance=covariance,
             log_score=score,
@@ -191,6 +195,12 @@ def kalman_tracker(
         return KalmanTrackerState(after, key), info
 
     return Estimator(init, step)
+
+
+def _in(dtype: jnp.dtype, scan: Scan) -> Scan:
+    """Return a look whose numbers are of the state's precision."""
+    floating = lambda x: jnp.issubdtype(jnp.result_type(x), jnp.floating)
+    return jax.tree.map(lambda x: jnp.asarray(x, dtype) if floating(x) else jnp.asarray(x), scan)
 
 
 def _predict(tracks: Tracks, dt_s: Array, move: Move) -> tuple[Array, Array]:
@@ -236,11 +246,15 @@ def _births(scan: Scan, free: Array, noise_m2: Array, params: KalmanTrackerParam
 
 def _check(params: KalmanTrackerParams) -> None:
     dtype = jnp.result_type(float)
-    for name in ("sigma_m", "clutter_per_m2", "birth_sigma_m_s", "gate", "echoes"):
+    for name, value in params._asdict().items():
+        if name != "lifecycle" and value is not None:
+            check_array(f"params.{name}", value, shape=())
+    for name in ("sigma_m", "clutter_per_m2", "birth_sigma_m_s", "echoes"):
         check_positive(f"params.{name}", getattr(params, name), dtype)
-        check_array(f"params.{name}", getattr(params, name), shape=())
     if params.birth_sigma_m is not None:
         check_positive("params.birth_sigma_m", params.birth_sigma_m, dtype)
+    amount = lambda x: (x >= 0) & np.isfinite(x)
     want = "an acceleration of at least 0 m/s²"
-    check_known("params.sigma_a_m_s2", params.sigma_a_m_s2, lambda x: x >= 0, want)
+    check_known("params.sigma_a_m_s2", params.sigma_a_m_s2, amount, want)
+    check_known("params.gate", params.gate, lambda x: x > 0, "a positive number")
     check_probability("params.p_detect", params.p_detect, dtype)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxtrack.association import ASSOCIATORS
 from jaxtrack.tracking import KalmanTrackerParams, LifecycleParams, kalman_tracker
 from jaxtrack.types import Scan, Stage
 from tests.metrics.differences import assert_gradients_agree
@@ -95,10 +96,15 @@ def test_order_and_padding_change_nothing():
     expected, _ = run("jpda", scans)
     order = np.random.default_rng(0).permutation(PLACES)
     shuffled = scans._replace(position_m=scans.position_m[:, order], mask=scans.mask[:, order])
-    # Births of one look stand in the order of the detections: tracks are told apart by their place.
+    # Births of one look take slots in the order of the detections: tracks are told by their place.
     found, _ = run("jpda", shuffled)
-    places = [np.sort(np.asarray(s.table.tracks.mean[:, 0])) for s in (expected, found)]
-    np.testing.assert_allclose(*places, rtol=1e-9)
+    tables = []
+    for state in (expected, found):
+        tracks = state.table.tracks
+        by_place = np.lexsort((tracks.mean[:, 0], ~tracks.mask))
+        kept = tracks.mean, tracks.covariance, tracks.mask, tracks.stage, tracks.log_score
+        tables.append(jax.tree.map(lambda x, order=by_place: x[order], kept))
+    chex.assert_trees_all_close(*tables, rtol=1e-9, atol=1e-9)
     pad = lambda x, value: np.concatenate([x, np.full((LOOKS, 2, *x.shape[2:]), value)], axis=1)
     padded = scans._replace(position_m=pad(scans.position_m, np.nan), mask=pad(scans.mask, False))
     longer, _ = run("jpda", padded)
@@ -227,3 +233,40 @@ def test_tracks_start_from_the_lifecycle_that_is_asked_for():
     late = PARAMS._replace(lifecycle=LifecycleParams(confirm_hits=5))
     _, info = run("optimal", scans, late)
     assert info.tracks.stage[:, 0].tolist() == [1, 1, 1, 1, 2, 2, 2, 2]
+
+
+def test_what_is_no_number_counts_as_none():
+    clean = scene(4)
+    there = np.argwhere(clean.mask & clean.valid[:, None])
+    look, place = there[len(there) // 2]
+    broken, masked = (jax.tree.map(np.copy, clean) for _ in range(2))
+    broken.position_m[look, place] = np.nan
+    masked.mask[look, place] = False
+    broken.time_s[3], masked.valid[3] = np.nan, False
+    (state, _), (expected, _) = (run("jpda", case) for case in (broken, masked))
+    chex.assert_trees_all_close(state.table, expected.table, rtol=1e-12)
+
+
+def test_a_scans_own_covariance_and_weight_count_and_a_new_track_starts_with_them():
+    scans = still(1, seen=True, valid=True)
+    own = np.broadcast_to(np.array([[4.0, 1.0], [1.0, 2.0]]), (1, 2, 2, 2))
+    scans = scans._replace(covariance_m2=own, weight=np.array([[0.5, 1.0]]))
+    for birth, expected in ((None, own[0, 0]), (3.0, 9.0 * np.eye(2))):
+        params = PARAMS._replace(birth_sigma_m=birth)
+        tracker = kalman_tracker(params, max_tracks=2, associator=ASSOCIATORS["greedy"])
+        _, info = jax.lax.scan(tracker.step, tracker.init(jax.random.key(0)), scans)
+        np.testing.assert_allclose(info.tracks.covariance[0, 0, :2, :2], expected)
+        np.testing.assert_allclose(info.tracks.log_score[0, 0], np.log(0.5))
+        assert info.candidates[0].tolist() == [True, False]
+    none = scans._replace(weight=np.zeros((1, 2)))
+    _, info = jax.lax.scan(tracker.step, tracker.init(jax.random.key(0)), none)
+    assert not info.tracks.mask.any()
+
+
+def test_precision_is_that_of_the_parameters_whatever_the_scan_has():
+    single = jax.tree.map(lambda x: x.astype(np.float32) if x.dtype == float else x, scene(0))
+    for name in ("greedy", "jpda", "pmht"):
+        tracker = kalman_tracker(PARAMS, max_tracks=SLOTS, associator=name)
+        one = jax.tree.map(lambda x: x[0], single)
+        state, _ = tracker.step(tracker.init(jax.random.key(0)), one)
+        assert state.table.tracks.mean.dtype == np.float64
