@@ -2,6 +2,7 @@
 
 from jaxtrack.plots.accumulations import accumulations
 from jaxtrack.plots.comparisons import run_times, scores
+from jaxtrack.plots.meetings import meetings
 from jaxtrack.plots.motion_elements import coordinate_over_time, error_curves, vote_plane
 from jaxtrack.plots.scene import scene
 from jaxtrack.plots.sinusoids import sinusoids
@@ -11,6 +12,7 @@ __all__ = [
     "accumulations",
     "coordinate_over_time",
     "error_curves",
+    "meetings",
     "run_times",
     "scene",
     "scores",

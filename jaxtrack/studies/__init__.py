@@ -5,10 +5,11 @@ A study is one entry of `STUDIES`. It simulates with `jaxtrack.monte_carlo`, pri
 summary through `studies.store`. The same seed and number of trials give the same results.
 """
 
+from jaxtrack.studies.ccm import STUDY as _CCM
 from jaxtrack.studies.csht import STUDY as _CSHT
 from jaxtrack.studies.nht import STUDY as _NHT
 from jaxtrack.studies.registry import Context, Study
 
-STUDIES: dict[str, Study] = {study.name: study for study in (_NHT, _CSHT)}
+STUDIES: dict[str, Study] = {study.name: study for study in (_NHT, _CSHT, _CCM)}
 
 __all__ = ["STUDIES", "Context", "Study"]

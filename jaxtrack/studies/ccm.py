@@ -1,0 +1,139 @@
+"""Study of the cloud-like model (2019): two targets that meet, tracked by every associator.
+
+The paper gives no numbers to compare with, only the plots of single runs. So its claim, that the
+cloud model keeps tracks apart where others exchange or lose them, is tried on a stated experiment:
+six situations, and sweeps over angle, echoes, clutter and detection probability. All associators
+see the same looks and start at the same known tracks.
+"""
+
+import functools
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from jaxtrack.sensors import EchoSensor, Meeting, Situation, situations
+from jaxtrack.studies import ccm_figures, ccm_report, parts, store
+from jaxtrack.studies.ccm_trial import METHODS, Inputs, Outcome, simulate, trial
+from jaxtrack.studies.registry import Context, Study
+from jaxtrack.studies.tables import entry, marks_table
+from jaxtrack.types import Key
+
+LEAST_CLUTTER = 1e-3  # β₀ a square metre: what associators assume where there is less
+LEAST_GRID = (1e-4, 1e-2, 1e-1)  # others, in the situations without clutter
+_DEGREE = float(jnp.pi) / 180
+
+
+class Cell(NamedTuple):
+    """One column of the experiment."""
+
+    situation: Situation
+    least_clutter_per_m2: float = LEAST_CLUTTER
+
+
+def cells() -> dict[str, Cell]:
+    """Return every cell by name: the situations, other β₀, and the sweeps around situation C.
+
+    Example:
+        >>> list(cells())[:7]
+        ['A', 'A3', 'B', 'C', 'D', 'E', 'A, β₀ 0.0001']
+    """
+    named = situations()
+    found = {name: Cell(situation) for name, situation in named.items()}
+    for name in ("A", "A3", "B"):
+        found |= {f"{name}, β₀ {least:g}": Cell(named[name], least) for least in LEAST_GRID}
+    crossing = lambda degrees, **sensor: Cell(
+        Situation(Meeting(degrees * _DEGREE), EchoSensor(clutter_per_m2=0.02)._replace(**sensor))
+    )
+    for degrees in (15.0, 45.0, 90.0):
+        found[f"angle {degrees:g}°"] = crossing(degrees)
+    for echoes in (1.0, 2.0, 8.0):
+        found[f"echoes {echoes:g}"] = crossing(60.0, echoes=echoes)
+    for clutter in (0.005, 0.01, 0.04):
+        found[f"clutter {clutter:g}"] = crossing(60.0, clutter_per_m2=clutter)
+    for p_detect in (0.5, 0.7, 1.0):
+        found[f"P_D {p_detect:g}"] = crossing(60.0, p_detect=p_detect)
+    return found
+
+
+def run(context: Context) -> None:
+    """Run everything, print the tables, save results and figures."""
+    say = context.console.print
+    outcomes: dict[str, Outcome] = {}
+    every = cells()
+    for place, (name, cell) in enumerate(every.items()):
+        report = functools.partial(context.progress, name)
+        key = _key(context, place)
+        part = name.replace("/", " ")
+        outcomes[name] = parts.run_part(
+            context, part, trial, key, context.trials, _inputs(cell), report
+        )
+    scores = dataset(outcomes)
+    for table in ccm_report.tables(scores, list(situations())):
+        say(table)
+    rows = ccm_report.marks(scores)
+    say(marks_table("Marks, fixed beforehand", rows))
+    summary = {
+        "study": STUDY.name,
+        "source": STUDY.source,
+        "seed": context.seed,
+        "trials": context.trials,
+        "marks": [entry(row) for row in rows],
+    }
+    store.save(context.out, {"scores": scores}, summary)
+    seen = jax.jit(simulate)
+    first = jax.random.fold_in(_key(context, 0), 0)
+    runs = {name: seen(first, _inputs(every[name])) for name in situations()}
+    ccm_figures.draw(context.out, runs, scores, functools.partial(context.progress, "figures"))
+    parts.forget_parts(context)
+
+
+def dataset(outcomes: Mapping[str, Outcome]) -> xr.Dataset:
+    """Return labelled scores, [cell, trial, associator] and of squared errors [..., look] means."""
+    each = lambda field: np.stack(
+        [
+            np.stack([np.asarray(getattr(o.scores[name], field)) for name in METHODS], axis=1)
+            for o in outcomes.values()
+        ]
+    )
+    dims = ("cell", "trial", "associator")
+    squared = each("squared_m2")  # [cell, trial, method, look]
+    return xr.Dataset(
+        {
+            "swap": (dims, each("swap")),
+            "loss": (dims, each("loss")),
+            "squared_m2": (dims, squared.mean(-1), {"units": "m²"}),
+            "squared_by_look_m2": (
+                ("cell", "associator", "look"),
+                squared.mean(1),
+                {"units": "m²"},
+            ),
+            "nees": (dims, each("nees")),
+            "overflow": (dims[:2], np.stack([o.overflow for o in outcomes.values()])),
+        },
+        coords={"cell": list(outcomes), "associator": list(METHODS)},
+    )
+
+
+def _inputs(cell: Cell) -> Inputs:
+    return jax.tree.map(jnp.asarray, Inputs(*cell))
+
+
+def _key(context: Context, *numbers: int) -> Key:
+    return functools.reduce(jax.random.fold_in, numbers, jax.random.key(context.seed))
+
+
+STUDY = Study(
+    name="ccm",
+    title="Cloud-model association: two targets that meet, several echoes a look, in clutter",
+    source="Sheng et al., Clustering Cloud-Like Model-Based Targets Underwater Tracking for AUVs, "
+    "Sensors, 2019",
+    trials_short=20,
+    trials_full=1000,
+    seconds_short=40.0,
+    seconds_full=300.0,
+    run=run,
+)
