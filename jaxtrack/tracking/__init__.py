@@ -1,5 +1,11 @@
 """Stages wired together: from lines to tracks, from a recording to tracks, from look to look."""
 
+from jaxtrack.tracking.hough_tracker import (
+    HoughTrackerInfo,
+    HoughTrackerParams,
+    HoughTrackerState,
+    hough_tracker,
+)
 from jaxtrack.tracking.initiate import InitiateInfo, InitiateParams, initiate
 from jaxtrack.tracking.kalman_tracker import (
     KalmanTrackerInfo,
@@ -21,6 +27,9 @@ from jaxtrack.tracking.window import METHODS, WindowInfo, initiate_window
 __all__ = [
     "METHODS",
     "Births",
+    "HoughTrackerInfo",
+    "HoughTrackerParams",
+    "HoughTrackerState",
     "InitiateInfo",
     "InitiateParams",
     "KalmanTrackerInfo",
@@ -33,6 +42,7 @@ __all__ = [
     "admit",
     "empty_table",
     "grade",
+    "hough_tracker",
     "initiate",
     "initiate_window",
     "kalman_tracker",

@@ -1,7 +1,7 @@
 """A window estimator that runs along with the looks."""
 
 from collections.abc import Callable
-from typing import Any, Generic, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -9,18 +9,20 @@ import jax.numpy as jnp
 from jaxtrack.numerics.checks import check_size
 from jaxtrack.types import Array, Estimator, InfoT, Key, Lines, ScanT, Tracks
 
+FoundT = TypeVar("FoundT", bound=Tracks | Lines)
 
-class SlidingInfo(NamedTuple, Generic[InfoT]):
+
+class SlidingInfo(NamedTuple, Generic[FoundT, InfoT]):
     """What people look at."""
 
-    tracks: Tracks | Lines  # of the window that ends with the last valid look
+    tracks: FoundT  # of the window that ends with the last valid look
     info: InfoT  # the window estimator's
     looks: Array  # [] valid looks in the window
 
 
 def sliding(
-    estimate: Callable[[ScanT], tuple[Tracks | Lines, InfoT]], *, like: ScanT, window: int
-) -> Estimator[ScanT, ScanT, SlidingInfo[InfoT]]:
+    estimate: Callable[[ScanT], tuple[FoundT, InfoT]], *, like: ScanT, window: int
+) -> Estimator[ScanT, ScanT, SlidingInfo[FoundT, InfoT]]:
     """Return the estimator whose every step looks at the last valid looks at once.
 
     Its state is these looks, stacked, oldest first; until there are enough the front of the window
@@ -52,7 +54,7 @@ def sliding(
     def init(key: Key) -> ScanT:
         return jax.tree.map(lambda x: jnp.zeros((window, *jnp.shape(x)), jnp.result_type(x)), like)
 
-    def step(state: ScanT, scan: ScanT) -> tuple[ScanT, SlidingInfo[InfoT]]:
+    def step(state: ScanT, scan: ScanT) -> tuple[ScanT, SlidingInfo[FoundT, InfoT]]:
         valid = _valid(scan)
         push = lambda kept, x: jnp.where(valid, jnp.concatenate([kept[1:], x[None]]), kept)
         state = jax.tree.map(push, state, scan)
