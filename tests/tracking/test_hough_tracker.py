@@ -117,18 +117,18 @@ def test_windows_that_share_looks_do_not_make_it_sure_of_itself():
     squared = jax.jit(jnp.vectorize(lambda *x: nees(*x).squared, signature="(s),(s,s),(s)->()"))
     slots = np.arange(SLOTS)
     agreed, ours, windows = [], [], []
-    for run in range(len(scans)):
-        mean, owner = np.asarray(info.tracks.mean[run]), np.asarray(info.owner[run])
-        state = np.concatenate([truth[run], np.broadcast_to(speed[run], truth[run].shape)], -1)
+    for trial in range(len(scans)):
+        mean, owner = np.asarray(info.tracks.mean[trial]), np.asarray(info.owner[trial])
+        state = np.concatenate([truth[trial], np.broadcast_to(speed[run], truth[trial].shape)], -1)
         gap = np.linalg.norm(mean[:, :, None, :2] - state[:, None, :, :2], axis=-1)
         true = np.take_along_axis(state, gap.argmin(-1)[..., None], axis=1)
         mine = owner[:, None, :] == slots[:, None]
-        there = np.asarray(info.tracks.mask[run]) & mine.any(-1)
+        there = np.asarray(info.tracks.mask[trial]) & mine.any(-1)
         there[:14] = False  # old enough to know of two windows and more
         found = np.take_along_axis(
-            np.asarray(info.estimates.mean[run]), mine.argmax(-1)[..., None], axis=1
+            np.asarray(info.estimates.mean[trial]), mine.argmax(-1)[..., None], axis=1
         )
-        agreed.append(np.asarray(squared(mean, info.tracks.covariance[run], true))[there])
+        agreed.append(np.asarray(squared(mean, info.tracks.covariance[trial], true))[there])
         ours.append(((mean - true)[there][:, :2] ** 2).sum(-1))
         windows.append(((found - true)[there][:, :2] ** 2).sum(-1))
     # Estimates of one run are alike: the runs' own means are what is independent.
