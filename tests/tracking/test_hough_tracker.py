@@ -119,7 +119,7 @@ def test_windows_that_share_looks_do_not_make_it_sure_of_itself():
     agreed, ours, windows = [], [], []
     for trial in range(len(scans)):
         mean, owner = np.asarray(info.tracks.mean[trial]), np.asarray(info.owner[trial])
-        state = np.concatenate([truth[trial], np.broadcast_to(speed[run], truth[trial].shape)], -1)
+        state = np.concatenate([truth[trial], np.broadcast_to(speed[trial], truth[trial].shape)], -1)
         gap = np.linalg.norm(mean[:, :, None, :2] - state[:, None, :, :2], axis=-1)
         true = np.take_along_axis(state, gap.argmin(-1)[..., None], axis=1)
         mine = owner[:, None, :] == slots[:, None]
