@@ -39,7 +39,8 @@ class HoughTrackerParams(NamedTuple):
 
     sigma_a_m_s2: Array | float = 0.01  # [] white-noise acceleration of each coordinate
     gate: Array | float = 18.5  # squared Mahalanobis distance in [x, y, vx, vy]; holds 99.9 %
-    lifecycle: LifecycleParams = LifecycleParams(confirm_hits=3, delete_misses=8)
+    confirm_score: Array | float = 0.0  # [] that an estimate must have to confirm its track
+    lifecycle: LifecycleParams = LifecycleParams(1, 3, 2)
 
 
 class Past(NamedTuple):
@@ -89,7 +90,8 @@ def hough_tracker(
 
         x = x₋ + P₋ (P₋ + P̂)⁻¹ (x̂ − x₋),    P = P₋ − P₋ (P₋ + P̂)⁻¹ P₋,
 
-    and no look counts twice. Younger tracks are their estimates.
+    and no look counts twice. Younger tracks are their estimates. For the same reason hits in a row
+    say little: what confirms a track is its estimate's score.
 
     Args:
         estimate: the window estimator, its parameters bound: `scans [W, ...] -> (tracks, info)`,
@@ -126,7 +128,7 @@ def hough_tracker(
         >>> run = jax.jit(lambda: jax.lax.scan(tracker.step, tracker.init(jax.random.key(0)), scans))
         >>> tracks = run()[1].tracks
         >>> print(tracks.mean[-1, 0].round(), tracks.stage[:, 0])
-        [210. 360.  30. -20.] [0 0 1 1 2 2 2 2]
+        [210. 360.  30. -20.] [0 0 2 2 2 2 2 2]
 
     Source: clustering-statistic Hough transform (2018), section IV, which gives the steps in words
     only.
@@ -162,8 +164,8 @@ def hough_tracker(
         own = Moments(estimates.mean[columns], estimates.covariance[columns])
         old = past.known[0]
         since = jnp.where(old.any(), now - past.time_s[0], 0.0)
-        before = _carry(past.mean[0], past.covariance[0], old, since, params)
-        fused = jax.vmap(_fuse)(before, own)
+        ago = _carry(past.mean[0], past.covariance[0], old, since, params)
+        fused = jax.vmap(_fuse)(ago, own)
         mean, covariance = _where(hit, _where(old, fused, own), moved)
         counted = valid & there & (jax.vmap(sees, (0, None))(moved.mean, scan) > _COUNTS)
         updated = table.tracks._replace(
@@ -172,11 +174,12 @@ def hough_tracker(
             covariance=covariance,
             log_score=jnp.where(hit, estimates.log_score[columns], table.tracks.log_score),
         )
-        graded = grade(table._replace(tracks=updated), hit, counted | hit, params.lifecycle)
-        births = Births(
-            estimates.mean, estimates.covariance, estimates.mask & ~claimed, estimates.log_score
-        )
-        after, full = admit(graded, births)
+        sure = estimates.log_score >= params.confirm_score
+        before = table._replace(tracks=updated)
+        graded = grade(before, hit, counted | hit, params.lifecycle, sure[columns])
+        new = estimates.mask & ~claimed
+        births = Births(estimates.mean, estimates.covariance, new, estimates.log_score, sure)
+        after, full = admit(graded, births, params.lifecycle)
         share = jnp.where(after.tracks.mask, after.hit.mean(1, dtype=now.dtype), 0.0)
         after = after._replace(tracks=after.tracks._replace(existence=share))
 
@@ -258,7 +261,7 @@ def _valid_of(scan: Any) -> Array:
 
 
 def _check(params: HoughTrackerParams) -> None:
-    for name in ("sigma_a_m_s2", "gate"):
+    for name in ("sigma_a_m_s2", "gate", "confirm_score"):
         check_array(f"params.{name}", getattr(params, name), shape=())
     amount = lambda x: (x >= 0) & np.isfinite(x)
     want = "an acceleration of at least 0 m/s²"

@@ -187,7 +187,7 @@ def kalman_tracker(
         graded = grade(table._replace(tracks=moved), claimed >= _SEEN, counted, params.lifecycle)
         free = _unclaimed(predicted, scan, found.weight, tracks, params)
         births = _births(scan, free, noise_m2, params)
-        admitted, full = admit(graded, births)
+        admitted, full = admit(graded, births, params.lifecycle)
         after, key = choose(scan.valid, (admitted, key), (table, state.key))
         info = KalmanTrackerInfo(
             after.tracks, found.weight, free, full & scan.valid, found.converged

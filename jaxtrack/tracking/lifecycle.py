@@ -38,6 +38,7 @@ class Births(NamedTuple):
     covariance: Array  # [B, S, S]
     mask: Array  # [B]
     log_score: Array  # [B] where slots are few, the highest are admitted
+    sure: Array | None = None  # [B] what else confirmation asks for is there; None: nothing else
 
 
 def empty_table(time_s: Array, *, tracks: int, state: int, looks: int) -> TrackTable:
@@ -76,7 +77,13 @@ def empty_table(time_s: Array, *, tracks: int, state: int, looks: int) -> TrackT
     )
 
 
-def grade(table: TrackTable, hit: Array, counted: Array, params: LifecycleParams) -> TrackTable:
+def grade(
+    table: TrackTable,
+    hit: Array,
+    counted: Array,
+    params: LifecycleParams,
+    sure: Array | None = None,
+) -> TrackTable:
     """Return the table after a look: tracks confirmed, coasting or deleted.
 
     Args:
@@ -84,11 +91,12 @@ def grade(table: TrackTable, hit: Array, counted: Array, params: LifecycleParams
         hit: [M] the look held a detection of the track.
         counted: [M] the look could have held one; where not, nothing changes.
         params: the numbers of hits and misses.
+        sure: [M] what else a tentative track's confirmation asks for is there; None: nothing else.
 
     Example:
         >>> table = empty_table(jnp.asarray(0.0), tracks=1, state=4, looks=3)
         >>> one = Births(jnp.ones((1, 4)), jnp.eye(4)[None], jnp.ones(1, bool), jnp.zeros(1))
-        >>> table, _ = admit(table, one)
+        >>> table, _ = admit(table, one, LifecycleParams())
         >>> yes, no = jnp.ones(1, bool), jnp.zeros(1, bool)
         >>> for seen in (yes, yes, no):
         ...     table = grade(table, seen, yes, LifecycleParams())
@@ -107,6 +115,9 @@ def grade(table: TrackTable, hit: Array, counted: Array, params: LifecycleParams
     misses = jnp.where(counted, jnp.where(hit, 0, table.misses + 1), table.misses)
 
     enough = history.sum(1, dtype=jnp.int32) >= jnp.asarray(params.confirm_hits)
+    if sure is not None:
+        check_array("sure", sure, shape=table.misses.shape)
+        enough = enough & sure
     confirmed = (tracks.stage >= Stage.CONFIRMED) | (hit & enough)
     patience = jnp.where(
         confirmed,
@@ -121,22 +132,23 @@ def grade(table: TrackTable, hit: Array, counted: Array, params: LifecycleParams
     return _only(graded, keep)
 
 
-def admit(table: TrackTable, births: Births) -> tuple[TrackTable, Array]:
-    """Return the table with new tentative tracks in its free slots, and whether some found none.
+def admit(table: TrackTable, births: Births, params: LifecycleParams) -> tuple[TrackTable, Array]:
+    """Return the table with new tracks in its free slots, and whether some found none.
 
     The candidates of the highest scores are admitted, into the first free slots; in a full table
     nothing that is there gives way. Every track gets the next identity, which is never used again.
-    Being admitted counts as a hit.
+    Being admitted counts as a hit: where one hit is enough, tracks start as confirmed.
 
     Args:
         table: before.
         births: B candidates.
+        params: the number of hits.
 
     Example:
         >>> table = empty_table(jnp.asarray(0.0), tracks=2, state=4, looks=3)
         >>> two = Births(jnp.ones((3, 4)), jnp.ones((3, 4, 4)), jnp.array([True, False, True]),
         ...              jnp.array([1.0, 9.0, 2.0]))
-        >>> table, crowded = admit(table, two)
+        >>> table, crowded = admit(table, two, LifecycleParams())
         >>> print(table.tracks.identity, table.tracks.log_score, crowded)
         [0 1] [2. 1.] False
     """
@@ -144,8 +156,9 @@ def admit(table: TrackTable, births: Births) -> tuple[TrackTable, Array]:
     candidates, state = births.mean.shape
     check_array("births.mean", births.mean, shape=("B", tracks.mean.shape[1]))
     check_array("births.covariance", births.covariance, shape=(candidates, state, state))
-    for name in ("mask", "log_score"):
-        check_array(f"births.{name}", getattr(births, name), shape=(candidates,))
+    sure = jnp.ones(candidates, bool) if births.sure is None else births.sure
+    for name, value in (("mask", births.mask), ("log_score", births.log_score), ("sure", sure)):
+        check_array(f"births.{name}", value, shape=(candidates,))
     score = jax.lax.stop_gradient(jnp.where(births.mask, births.log_score, 0.0))
     best_first = jnp.lexsort((-score, ~births.mask))
     wanted = births.mask.sum(dtype=jnp.int32)
@@ -155,12 +168,14 @@ def admit(table: TrackTable, births: Births) -> tuple[TrackTable, Array]:
     taken = free & (rank < wanted)
     source = best_first[jnp.clip(rank, 0, candidates - 1)]
     fill = lambda new, old: jnp.where(taken.reshape(-1, *(1,) * (old.ndim - 1)), new, old)
+    at_once = sure[source] & (jnp.asarray(params.confirm_hits) <= 1)
+    stage = jnp.where(at_once, Stage.CONFIRMED, Stage.TENTATIVE).astype(tracks.stage.dtype)
     admitted = tracks._replace(
         mean=fill(births.mean[source], tracks.mean),
         covariance=fill(births.covariance[source], tracks.covariance),
         mask=tracks.mask | taken,
         identity=fill(table.next_identity + rank, tracks.identity),
-        stage=fill(jnp.full_like(tracks.stage, Stage.TENTATIVE), tracks.stage),
+        stage=fill(stage, tracks.stage),
         existence=fill(jnp.zeros_like(tracks.existence), tracks.existence),
         log_score=fill(births.log_score[source], tracks.log_score),
     )

@@ -37,7 +37,7 @@ def lines(looks, sigma):
     return found
 
 
-def run(scans, *, window, slots, last, lives, gate, sigma, sigma_a):
+def run(scans, *, window, slots, last, lives, gate, sigma, sigma_a, score):
     """Return after each look a list of slots: None, or (identity, mean, covariance, stage).
 
     Args:
@@ -49,6 +49,7 @@ def run(scans, *, window, slots, last, lives, gate, sigma, sigma_a):
         gate: squared distance.
         sigma: noise of a detection.
         sigma_a: acceleration.
+        score: that confirms a track: the number of detections in its window.
     """
     book, past, history = Book(slots, last, *lives), {}, []  # past: identity → [(time, m, P), ...]
     looks = []
@@ -95,12 +96,12 @@ def run(scans, *, window, slots, last, lives, gate, sigma, sigma_a):
                         covariance = np.linalg.inv(weight)
                         mean = covariance @ joined
                 past[track.identity].append((time, mean, covariance))
-            book.grade(
-                [slot in own for slot in range(slots)], [track is not None for track in book.slots]
-            )
+            sure = [slot in own and estimates[own[slot]][2] >= score for slot in range(slots)]
+            hit = [slot in own for slot in range(slots)]
+            book.grade(hit, [track is not None for track in book.slots], sure)
             free = [slot for slot, track in enumerate(book.slots) if track is None]
             new = [e for i, e in enumerate(estimates) if e is not None and i not in near]
-            book.admit([(e[0], float(e[2])) for e in new])
+            book.admit([(e[0], float(e[2]), e[2] >= score) for e in new])
             for slot in free:
                 track = book.slots[slot]
                 if track is not None:

@@ -28,14 +28,14 @@ class Book:
         self.delete, self.delete_tentative = delete, delete_tentative
         self.next_identity = 0
 
-    def grade(self, hit, counted):
+    def grade(self, hit, counted, sure=None):
         for slot, track in enumerate(self.slots):
             if track is None or not counted[slot]:
                 continue
             track.history = ([*track.history, bool(hit[slot])])[-self.last :]
             if hit[slot]:
                 track.misses = 0
-                if sum(track.history) >= self.confirm:
+                if sum(track.history) >= self.confirm and (sure is None or sure[slot]):
                     track.confirmed = True
             else:
                 track.misses += 1
@@ -44,13 +44,14 @@ class Book:
                 self.slots[slot] = None
 
     def admit(self, candidates):
-        """Take (mean, score) pairs, the highest scores first; return whether some found no slot."""
+        """Take (mean, score) or (mean, score, sure), the highest scores first; was it too many?"""
         crowded = False
-        for mean, score in sorted(candidates, key=lambda c: -c[1]):
+        for mean, score, *sure in sorted(candidates, key=lambda c: -c[1]):
             free = [slot for slot, track in enumerate(self.slots) if track is None]
             if not free:
                 crowded = True
                 continue
-            self.slots[free[0]] = Track(self.next_identity, list(mean), score)
+            at_once = self.confirm <= 1 and all(sure)
+            self.slots[free[0]] = Track(self.next_identity, list(mean), score, at_once)
             self.next_identity += 1
         return crowded

@@ -15,8 +15,8 @@ from jaxtrack.types import Scan, Stage, Tracks
 from tests.oracles import hough_tracker as oracle
 
 SIGMA_M, WINDOW, SLOTS, LAST, LOOKS, PLACES = 2.0, 5, 4, 4, 24, 5
-LIVES = 3, 4, 2
-PARAMS = HoughTrackerParams(0.05, 18.5, LifecycleParams(*LIVES))
+LIVES, SCORE = (1, 4, 2), 4.0
+PARAMS = HoughTrackerParams(0.05, 18.5, SCORE, LifecycleParams(*LIVES))
 
 
 def lines(scans):
@@ -81,13 +81,16 @@ def run(scans, params=PARAMS):
 @pytest.mark.parametrize("seed", range(8))
 def test_agrees_with_the_loop(seed):
     scans, _, _ = scene(seed)
-    _, info = run(scans)
+    lives = (1, *LIVES[1:]) if seed % 2 else (3, *LIVES[1:])
+    _, info = run(scans, PARAMS._replace(lifecycle=LifecycleParams(*lives)))
     looks = [
         (t, v, [tuple(z) if m else None for z, m in zip(zs, ms, strict=True)])
         for t, v, zs, ms in zip(*scans[:4], strict=True)
     ]
     options = {"gate": PARAMS.gate, "sigma": SIGMA_M, "sigma_a": PARAMS.sigma_a_m_s2}
-    expected = oracle.run(looks, window=WINDOW, slots=SLOTS, last=LAST, lives=LIVES, **options)
+    expected = oracle.run(
+        looks, window=WINDOW, slots=SLOTS, last=LAST, lives=lives, score=SCORE, **options
+    )
     assert any(track is not None for row in expected for track in row)
     tracks = jax.tree.map(np.asarray, info.tracks)
     for look, row in enumerate(expected):
@@ -119,7 +122,9 @@ def test_windows_that_share_looks_do_not_make_it_sure_of_itself():
     agreed, ours, windows = [], [], []
     for trial in range(len(scans)):
         mean, owner = np.asarray(info.tracks.mean[trial]), np.asarray(info.owner[trial])
-        state = np.concatenate([truth[trial], np.broadcast_to(speed[trial], truth[trial].shape)], -1)
+        state = np.concatenate(
+            [truth[trial], np.broadcast_to(speed[trial], truth[trial].shape)], -1
+        )
         gap = np.linalg.norm(mean[:, :, None, :2] - state[:, None, :, :2], axis=-1)
         true = np.take_along_axis(state, gap.argmin(-1)[..., None], axis=1)
         mine = owner[:, None, :] == slots[:, None]

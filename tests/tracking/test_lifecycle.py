@@ -11,17 +11,16 @@ SLOTS, STATE, LAST, CANDIDATES = 4, 2, 5, 3
 PARAMS = LifecycleParams(confirm_hits=3, delete_misses=3, delete_tentative_misses=2)
 
 
-def step(table, look):
-    hit, counted, births = look
-    table = grade(table, hit, counted, PARAMS)
-    table, crowded = admit(table, births)
-    return table, (table, crowded)
-
-
 @jax.jit
-def run(looks):
+def run(looks, params=PARAMS, sure=None):
+    def step(table, look):
+        (hit, counted, births), sure = look
+        table = grade(table, hit, counted, params, sure)
+        table, crowded = admit(table, births, params)
+        return table, (table, crowded)
+
     begin = empty_table(jnp.zeros(()), tracks=SLOTS, state=STATE, looks=LAST)
-    return jax.lax.scan(step, begin, looks)[1]
+    return jax.lax.scan(step, begin, (looks, sure))[1]
 
 
 def random_looks(seed, looks, p_hit=0.6, p_counted=0.9, p_birth=0.15):
@@ -38,6 +37,22 @@ def random_looks(seed, looks, p_hit=0.6, p_counted=0.9, p_birth=0.15):
             np.where(mask, rng.permuted(np.arange(looks * CANDIDATES)).reshape(mask.shape), np.nan),
         ),
     )
+
+
+def test_one_hit_confirms_at_once_where_that_is_enough_and_nothing_else_is_asked_for():
+    looks = random_looks(5, 40, p_birth=0.3)
+    rng = np.random.default_rng(6)
+    sure, births_sure = rng.random((40, SLOTS)) < 0.3, rng.random((40, CANDIDATES)) < 0.4
+    looks = (*looks[:2], looks[2]._replace(sure=births_sure))
+    tables, _ = run(looks, PARAMS._replace(confirm_hits=1), sure)
+    book = Book(SLOTS, LAST, 1, 3, 2)
+    for k in range(40):
+        book.grade(looks[0][k], looks[1][k], sure[k])
+        there = np.flatnonzero(looks[2].mask[k])
+        scores = looks[2].log_score[k]
+        book.admit([(looks[2].mean[k, n], scores[n], births_sure[k, n]) for n in there])
+        stages = [0 if track is None else track.stage for track in book.slots]
+        np.testing.assert_array_equal(tables.tracks.stage[k], stages)
 
 
 @pytest.mark.parametrize("seed", range(10))
