@@ -178,12 +178,25 @@ def test_grids_and_extractors_that_cannot_be_are_named(call):
 @pytest.mark.parametrize("call", WINDOWS)
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("position_m", GOOD.position_m.at[1, 1].set(INF)), ("time_s", GOOD.time_s[::-1])],
+    [
+        ("position_m", GOOD.position_m.at[1, 1].set(INF)),
+        ("time_s", GOOD.time_s[::-1]),
+        ("mask", jnp.ones((3, 2))),
+    ],
 )
 def test_looks_with_broken_values_are_named(call, field, value, monkeypatch):
     monkeypatch.setitem(globals(), "GOOD", GOOD._replace(**{field: value}))
-    with pytest.raises(ValueError, match=rf"scans.{field}: got"):
+    with pytest.raises((TypeError, ValueError), match=rf"scans.{field}: got"):
         call()
+
+
+@pytest.mark.parametrize("field", ["mask", "valid"])
+def test_a_mask_of_numbers_is_named_by_the_kalman_tracker(field):
+    tracker = kalman()
+    look = jax.tree.map(lambda x: x[0], GOOD)
+    look = look._replace(**{field: getattr(look, field).astype(float)})
+    with pytest.raises(TypeError, match=rf"scan.{field}: got dtype float64, want booleans"):
+        tracker.step(tracker.init(jax.random.key(0)), look)
 
 
 @pytest.mark.parametrize(
@@ -192,6 +205,8 @@ def test_looks_with_broken_values_are_named(call, field, value, monkeypatch):
         ("range_m", LOUD.range_m.at[1, 1].set(NAN)),
         ("time_s", LOUD.time_s[::-1]),
         ("mask", LOUD.mask[:2]),
+        ("mask", jnp.ones((3, 4))),
+        ("valid", jnp.ones(3, int)),
         ("pose.heading_rad", jnp.zeros(2)),
     ],
 )
@@ -199,5 +214,5 @@ def test_beams_with_broken_values_are_named(field, value, monkeypatch):
     first, _, second = field.partition(".")
     value = LOUD.pose._replace(**{second: value}) if second else value
     monkeypatch.setitem(globals(), "LOUD", LOUD._replace(**{first: value}))
-    with pytest.raises(ValueError, match=rf"scans.{field}: got"):
+    with pytest.raises((TypeError, ValueError), match=rf"scans.{field}: got"):
         beams()

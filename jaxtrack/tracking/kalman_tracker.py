@@ -28,6 +28,7 @@ from jaxtrack.numerics.checks import (
     check_array,
     check_choice,
     check_known,
+    check_mask,
     check_positive,
     check_probability,
     check_size,
@@ -155,6 +156,8 @@ def kalman_tracker(
     def step(state: KalmanTrackerState, scan: Scan) -> tuple[KalmanTrackerState, KalmanTrackerInfo]:
         table, dtype = state.table, state.table.tracks.mean.dtype
         number = lambda x: jnp.asarray(x, dtype)
+        check_mask("scan.valid", scan.valid, shape=())
+        check_mask("scan.mask", scan.mask, shape=jnp.shape(scan.position_m)[:1])
         scan = _in(dtype, sound(scan))
         tracks = table.tracks
         time_s = jnp.where(scan.valid, scan.time_s, tracks.time_s)
