@@ -121,6 +121,16 @@ def test_identities_are_laid_out_as_by_a_loop(seed, names):
         np.testing.assert_array_equal(ours, theirs)
 
 
+def test_without_tracks_every_column_is_empty():
+    none = np.zeros((LOOKS, 0, 2)), np.zeros((LOOKS, 0), bool), np.zeros((LOOKS, 0), np.int32)
+    found = jax.jit(lambda *table: trajectories(*table, identities=2))(*none)
+    assert found.state.shape == (LOOKS, 2, 2)
+    assert found.identity.tolist() == [-1, -1]
+    assert not found.mask.any()
+    assert not found.state.any()
+    assert not found.overflow
+
+
 def test_ospa_over_time_is_that_of_each_look():
     rng = np.random.default_rng(1)
     mean, state = rng.normal(scale=4.0, size=(2, LOOKS, 3, 4))
@@ -153,5 +163,7 @@ def test_errors_name_the_argument():
         ospa2_over_time(x, mask, x, mask, cutoff=1.0, order=1.0, window=0)
     with pytest.raises(TypeError, match="identity: got dtype"):
         trajectories(x, mask, x[..., 0], identities=2)
+    with pytest.raises(TypeError, match="identity: got dtype uint32, want signed integers"):
+        trajectories(x, mask, jnp.zeros((3, 2), jnp.uint32), identities=2)
     with pytest.raises(ValueError, match="identity: got shape"):
         trajectories(x, mask, jnp.zeros((3, 1), int), identities=2)
