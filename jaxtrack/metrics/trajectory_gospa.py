@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxtrack.metrics.cutoff import CutoffCosts, cutoff_costs, safe_power
+from jaxtrack.metrics.cutoff import check_tracks, distances_over_time, safe_power
 from jaxtrack.numerics.checks import check_array, check_positive
 from jaxtrack.types import Array
 
@@ -95,18 +95,17 @@ def trajectory_gospa(
     Note:
         T looks keep T (m + 1)^n numbers until the assignments are read off.
     """
-    costs = _costs(
-        estimates,
-        estimates_mask,
-        truths,
-        truths_mask,
-        {"cutoff": cutoff, "order": order, "switch_cost": switch_cost},
+    _, left, right = check_tracks(estimates, estimates_mask, truths, truths_mask)
+    check_array("switch_cost", switch_cost, shape=())
+    check_positive("switch_cost", switch_cost, float)
+    _check_number(left, right)
+    costs = distances_over_time(
+        estimates, estimates_mask, truths, truths_mask, cutoff=cutoff, order=order
     )
     dtype = costs.cost.dtype
     change = safe_power(jnp.asarray(switch_cost, dtype) / costs.cutoff, costs.order)
-    pairs = jnp.where(
-        costs.estimates_mask[:, :, None] & costs.truths_mask[:, None, :], costs.cost, 1.0
-    )
+    both = costs.estimates_mask[:, :, None] & costs.truths_mask[:, None, :]
+    pairs = jnp.where(both, safe_power(costs.cost, costs.order), 1.0)
     # A pair that exists saves at most its missed and its false half; others save nothing.
     saved = jax.lax.stop_gradient(pairs - 1.0)
     turned = saved.shape[1] > saved.shape[2]
@@ -194,31 +193,11 @@ def _halves(before: Array, after: Array) -> Array:
     return jnp.where(before == after, 0, jnp.where(none, 1, 2))
 
 
-def _costs(
-    estimates: Array,
-    estimates_mask: Array,
-    truths: Array,
-    truths_mask: Array,
-    numbers: dict[str, Any],
-) -> CutoffCosts:
-    """Check everything; return costs of all looks, with at least one column on either side."""
-    check_array("estimates", estimates, shape=("T", "I", "D"))
-    looks, left, dimension = jnp.shape(estimates)
-    check_array("estimates_mask", estimates_mask, shape=(looks, left))
-    check_array("truths", truths, shape=(looks, "K", dimension))
-    right = jnp.shape(truths)[1]
-    check_array("truths_mask", truths_mask, shape=(looks, right))
-    if looks == 0:
-        raise ValueError("estimates: got no looks, want at least one")
-    check_positive("switch_cost", numbers["switch_cost"], float)
-    check_array("switch_cost", numbers["switch_cost"], shape=())
+def _check_number(left: int, right: int) -> None:
+    """Refuse tables of assignments that would not fit into memory."""
     count = (max(left, right, 1) + 1) ** max(min(left, right), 1)
     if count > MAX_ASSIGNMENTS:
         raise ValueError(
             f"estimates, truths: got {left} and {right} columns, which are {count} assignments a "
             f"look, want at most {MAX_ASSIGNMENTS}"
         )
-    one = lambda *sets: cutoff_costs(*sets, cutoff=numbers["cutoff"], order=numbers["order"])
-    return jax.vmap(one, out_axes=CutoffCosts(0, 0, 0, None, None))(  # pyright: ignore
-        estimates, estimates_mask, truths, truths_mask
-    )

@@ -159,6 +159,8 @@ def test_errors_name_the_argument():
         ospa2(x, mask[:, :1], x, mask, cutoff=1.0, order=1.0)
     with pytest.raises(ValueError, match="order: got"):
         ospa2(x, mask, x, mask, cutoff=1.0, order=0.5)
+    with pytest.raises(ValueError, match="estimates: got no looks"):
+        ospa2(x[:0], mask[:0], x[:0], mask[:0], cutoff=1.0, order=1.0)
     with pytest.raises(ValueError, match="window: got 0"):
         ospa2_over_time(x, mask, x, mask, cutoff=1.0, order=1.0, window=0)
     with pytest.raises(TypeError, match="identity: got dtype"):
