@@ -93,7 +93,11 @@ def trajectory_gospa(
         multi-dimensional assignment itself, not its relaxation to a linear programme.
 
     Note:
-        T looks keep T (m + 1)^n numbers until the assignments are read off.
+        With n = min(I, K), m = max(I, K) and A = (m + 1)^n it takes about 5 T n A additions and
+        comparisons and, until the assignments are read off, (T + 3) A numbers: 4 (T + 3) A bytes in
+        float32, 8 (T + 3) A in float64, at most 1 or 2 MiB a look, and that for every run of a
+        batch. Tracing makes a table of 8 n A bytes once. The gradient goes through the assigned
+        pairs alone and keeps nothing else.
     """
     _, left, right = check_tracks(estimates, estimates_mask, truths, truths_mask)
     check_array("switch_cost", switch_cost, shape=())
@@ -170,8 +174,7 @@ def assignments(cost: Array, change: Array) -> Array:
             arrive = through + half
             first = along(names == 0, row)
             moved = jnp.where(first, through, jnp.minimum(moved, arrive))
-        total = moved + here(at)
-        return total, total
+        return moved + here(at), best
 
     def backward(after: Array, best: Array) -> tuple[Array, Array]:
         for row in range(rows):
@@ -179,9 +182,7 @@ def assignments(cost: Array, change: Array) -> Array:
         before = jnp.stack(jnp.unravel_index(jnp.argmin(best), size)).astype(jnp.int32)
         return before, before
 
-    first = here(cost[0])
-    last, others = jax.lax.scan(forward, first, cost[1:])
-    best = jnp.concatenate([first[None], others])[:-1]
+    last, best = jax.lax.scan(forward, here(cost[0]), cost[1:])
     end = jnp.stack(jnp.unravel_index(jnp.argmin(last), size)).astype(jnp.int32)
     _, before = jax.lax.scan(backward, end, best, reverse=True)
     return jnp.concatenate([before, end[None]])

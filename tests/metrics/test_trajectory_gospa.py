@@ -142,6 +142,15 @@ def test_gradients_equal_differences_and_are_finite():
         assert np.isfinite(gradient(*case)).all()
 
 
+def test_memory_is_what_the_docstring_says():
+    looks, left, right = 40, 3, 15
+    single = lambda columns: jnp.zeros((looks, columns, 2), jnp.float32)
+    there = lambda columns: jnp.ones((looks, columns), bool)
+    sets = single(left), there(left), single(right), there(right)
+    used = jitted().lower(*sets, 5.0, 1.0, 1.0).compile().memory_analysis().temp_size_in_bytes
+    assert used < 1.1 * 4 * (looks + 3) * (right + 1) ** left
+
+
 def test_errors_name_the_argument_and_the_limit():
     x, mask = jnp.zeros((3, 7, 2)), jnp.ones((3, 7), bool)
     numbers = {"cutoff": 1.0, "order": 1.0, "switch_cost": 1.0}
