@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from jaxtrack.metrics import ospa2, ospa2_over_time, ospa_over_time, trajectories
 from jaxtrack.types import Tracks, Truth
-from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import ospa2 as oracle
 from tests.oracles.ospa import ospa as ospa_oracle
 
@@ -89,22 +88,6 @@ def test_ospa2_over_time_is_ospa2_of_each_window():
         of = slice(max(look - 2, 0), look + 1)
         tracks = [oracle.tracks_of(a[of], m[of]) for a, m in ((x, xm), (y, ym))]
         np.testing.assert_allclose(curve[look], oracle.ospa2(*tracks, 8.0, 2.0), atol=1e-12)
-
-
-def test_gradients_of_ospa2_equal_differences_and_are_finite():
-    rng = np.random.default_rng(9)
-    (x, xm), (y, ym) = (random_tracks(rng, 3) for _ in range(2))
-    x, y = (np.nan_to_num(a) for a in (x, y))
-
-    def loss(x, y, cutoff, order):
-        y = jnp.where(ym[..., None], y, jnp.nan)
-        return ospa2(x, xm, y, ym, cutoff=cutoff, order=order).distance
-
-    assert_gradients_agree(loss, x, y, 9.0, 1.5)
-    gradient = jax.jit(jax.grad(lambda x, xm, y, ym: jitted()(x, xm, y, ym, 9.0, 2.0).distance))
-    none = np.zeros_like(xm)
-    for case in ((x, xm, x, xm), (x, none, y, ym), (x, none, y, none), (x, xm, np.nan * y, none)):
-        assert np.isfinite(gradient(*case)).all()
 
 
 @few
