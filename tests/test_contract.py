@@ -1,6 +1,8 @@
 """What every window estimator and every vote kernel promises, whatever it computes.
 
-A new estimator joins by a line in `ESTIMATORS`, a new kernel by one in `KERNELS`.
+A new estimator joins by a line in `ESTIMATORS`, a new kernel by one in `KERNELS`. Estimators that
+take one look after the other promise the same, but of their tables of tracks: the Kalman tracker is
+asked in `tests/tracking/test_kalman_tracker.py`.
 """
 
 import collections

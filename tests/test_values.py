@@ -10,7 +10,7 @@ import pytest
 from jaxtrack import filtering, hough, sensors, tracking
 from jaxtrack.hough.neutrosophic import NeutrosophicParams
 from jaxtrack.models import BEAMS, BeamSensor, BeamSonar, PositionSensor
-from jaxtrack.types import BeamScan, Lines, Pose, Scan
+from jaxtrack.types import BeamScan, Lines, Pose, Scan, Truth
 
 SIZES = hough.Sizes(lines=2, pairs=4, predecessors=2, candidates=4, rho=10, theta=10)
 JOINT = hough.joint.JointSizes(tracks=1, hypotheses=4, candidates=4, starts=1, gap=1)
@@ -20,6 +20,7 @@ LOUD = BeamScan(jnp.arange(3.0), jnp.ones(3, bool), jnp.ones((3, 4)), jnp.ones((
 SPEED = hough.SpeedGate()
 SENSOR = PositionSensor(0.9, 1e-5, 10.0)
 LINES = Lines(*(jnp.ones(1) for _ in range(3)), jnp.ones(1, bool))
+TRUTH = Truth(jnp.arange(3.0), jnp.zeros((3, 2, 4)), jnp.ones((3, 2), bool))
 NAN, INF = float("nan"), float("inf")
 
 
@@ -77,6 +78,20 @@ def clustering(**wrong):
     return hough.clustering_statistic.estimate(GOOD, params)
 
 
+def kalman(**wrong):
+    params = tracking.KalmanTrackerParams(1.0, 0.1, 0.9, 1e-4)._replace(**wrong)
+    return tracking.kalman_tracker(params, max_tracks=2)
+
+
+def lifecycle(**wrong):
+    return kalman(lifecycle=tracking.LifecycleParams(**wrong))
+
+
+def echoes(**wrong):
+    sensor = sensors.EchoSensor(**wrong)
+    return sensors.observe_echoes(jax.random.key(0), TRUTH, sensor, echoes=2, clutter=2)
+
+
 CASES = [
     (call, name, value)
     for call, name, values in (
@@ -110,6 +125,21 @@ CASES = [
         (clustering, "sigma_m", (-1.0,)),
         (rls, "forgetting", (0.0, 1.5, NAN)),
         (rls, "initial_variance", (0.0, -1.0)),
+        (kalman, "sigma_m", (0.0, INF)),
+        (kalman, "sigma_a_m_s2", (-1.0, INF)),
+        (kalman, "p_detect", (-0.1, 1.1, NAN)),
+        (kalman, "clutter_per_m2", (0.0, -1.0)),
+        (kalman, "birth_sigma_m_s", (0.0, NAN)),
+        (kalman, "birth_sigma_m", (-1.0, INF)),
+        (kalman, "gate", (0.0, NAN)),
+        (kalman, "echoes", (0.0, INF)),
+        (lifecycle, "confirm_hits", (0, 6)),
+        (lifecycle, "delete_misses", (0,)),
+        (lifecycle, "delete_tentative_misses", (0,)),
+        (echoes, "p_detect", (-0.1, 1.1, NAN)),
+        (echoes, "echoes", (0.5, NAN, INF)),
+        (echoes, "spread_m", (-1.0, INF)),
+        (echoes, "clutter_per_m2", (-1.0, NAN)),
     )
     for value in values
 ]
@@ -117,7 +147,7 @@ CASES = [
 
 @pytest.mark.parametrize(("call", "name", "value"), CASES)
 def test_a_value_that_cannot_be_is_named(call, name, value):
-    with pytest.raises(ValueError, match=rf"{name}: got {value}, want"):
+    with pytest.raises(ValueError, match=rf"\b{name}: got {value}, want"):
         call(**{name: value})
 
 
@@ -125,9 +155,13 @@ WINDOWS = (improved, neutrosophic, soft, standard, joint, clustering, initiate)
 
 
 @pytest.mark.parametrize("call", [improved, neutrosophic, joint, initiate])
-@pytest.mark.parametrize("speed", [hough.SpeedGate(-1.0, 5.0), hough.SpeedGate(5.0, 5.0)])
-def test_speeds_that_are_no_range_are_named(call, speed):
-    with pytest.raises(ValueError, match=r"speed.v_m(in|ax)_m_s: got"):
+@pytest.mark.parametrize(
+    ("speed", "name"),
+    [((-1.0, 5.0), "v_min_m_s"), ((NAN, 5.0), "v_min_m_s"), ((5.0, 5.0), "v_max_m_s")],
+)
+def test_speeds_that_are_no_range_are_named(call, speed, name):
+    speed = hough.SpeedGate(*speed)
+    with pytest.raises(ValueError, match=rf"speed\.{name}: got {getattr(speed, name)}, want"):
         call(speed=speed)
 
 
@@ -144,12 +178,25 @@ def test_grids_and_extractors_that_cannot_be_are_named(call):
 @pytest.mark.parametrize("call", WINDOWS)
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("position_m", GOOD.position_m.at[1, 1].set(INF)), ("time_s", GOOD.time_s[::-1])],
+    [
+        ("position_m", GOOD.position_m.at[1, 1].set(INF)),
+        ("time_s", GOOD.time_s[::-1]),
+        ("mask", jnp.ones((3, 2))),
+    ],
 )
 def test_looks_with_broken_values_are_named(call, field, value, monkeypatch):
     monkeypatch.setitem(globals(), "GOOD", GOOD._replace(**{field: value}))
-    with pytest.raises(ValueError, match=rf"scans.{field}: got"):
+    with pytest.raises((TypeError, ValueError), match=rf"scans.{field}: got"):
         call()
+
+
+@pytest.mark.parametrize("field", ["mask", "valid"])
+def test_a_mask_of_numbers_is_named_by_the_kalman_tracker(field):
+    tracker = kalman()
+    look = jax.tree.map(lambda x: x[0], GOOD)
+    look = look._replace(**{field: getattr(look, field).astype(float)})
+    with pytest.raises(TypeError, match=rf"scan.{field}: got dtype float64, want booleans"):
+        tracker.step(tracker.init(jax.random.key(0)), look)
 
 
 @pytest.mark.parametrize(
@@ -158,6 +205,8 @@ def test_looks_with_broken_values_are_named(call, field, value, monkeypatch):
         ("range_m", LOUD.range_m.at[1, 1].set(NAN)),
         ("time_s", LOUD.time_s[::-1]),
         ("mask", LOUD.mask[:2]),
+        ("mask", jnp.ones((3, 4))),
+        ("valid", jnp.ones(3, int)),
         ("pose.heading_rad", jnp.zeros(2)),
     ],
 )
@@ -165,5 +214,5 @@ def test_beams_with_broken_values_are_named(field, value, monkeypatch):
     first, _, second = field.partition(".")
     value = LOUD.pose._replace(**{second: value}) if second else value
     monkeypatch.setitem(globals(), "LOUD", LOUD._replace(**{first: value}))
-    with pytest.raises(ValueError, match=rf"scans.{field}: got"):
+    with pytest.raises((TypeError, ValueError), match=rf"scans.{field}: got"):
         beams()

@@ -14,7 +14,7 @@ from jax.core import Tracer
 
 from jaxtrack.models.line import line_covariance, line_through
 from jaxtrack.models.motion import look_times
-from jaxtrack.numerics.checks import check_known, check_scans, check_size
+from jaxtrack.numerics.checks import check_known, check_size
 from jaxtrack.types import Array, Scan
 
 
@@ -121,7 +121,7 @@ def candidate_pairs(scans: Scan, origin_m: Array, speed: SpeedGate | None, *, pa
         v_min ≤ |z_{k,j} − z_{k−1,i}| / (t_j − t_i) ≤ v_max
 
     Args:
-        scans: K ≥ 2 looks stacked; a detection of weight 0 counts as none.
+        scans: K ≥ 2 sound looks stacked (`check_scans`); a detection of weight 0 counts as none.
         origin_m: [2] the point that ρ is measured from.
         speed: admissible speeds, or None for all pairs.
         pairs: size of the table, pairs an interval.
@@ -141,7 +141,6 @@ def candidate_pairs(scans: Scan, origin_m: Array, speed: SpeedGate | None, *, pa
 
     Source: neutrosophic Hough transform (2018), equations 4 and 20–22.
     """
-    scans = check_scans(scans)
     check_size("number of looks", scans.mask.shape[0], at_least=2)
     counts = counting(scans)
     position = jnp.where(counts[..., None], scans.position_m, 0.0)
@@ -182,7 +181,7 @@ def distant_pairs(
     """Return the constant-velocity trajectories through two detections at least `gap` looks apart.
 
     Args:
-        scans: K > gap looks stacked; a detection of weight 0 counts as none.
+        scans: K > gap sound looks stacked; a detection of weight 0 counts as none.
         speed: admissible speeds.
         gap: least distance in looks, static.
         hypotheses: size of the table, static.
@@ -200,7 +199,6 @@ def distant_pairs(
         >>> print(states[0], mask)
         [  0. 200.   0. 200.] [ True False]
     """
-    scans = check_scans(scans)
     looks, n = scans.mask.shape
     check_size("number of looks", looks, at_least=gap + 1)
     couples = [(k, k + g) for g in range(gap, looks) for k in range(looks - g)]

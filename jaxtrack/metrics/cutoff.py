@@ -1,11 +1,14 @@
 """What OSPA and GOSPA share: the distances between two finite sets, cut off and raised to a power.
 
+`distances_over_time` has them of every look of two sets of tracks.
+
 Everything here is in units of the cut-off c: (min(c, d) / c)^p lies in [0, 1] whatever the order p,
 so that neither large distances nor high orders overflow in float32.
 """
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -114,6 +117,64 @@ def cutoff_distances(
     distance = safe_norm(estimates[:, None, :] - truths[None, :, :], axis=-1)
     share = jnp.where(distance < cutoff, distance / cutoff, 1.0)
     return CutoffCosts(share, estimates_mask, truths_mask, cutoff, order)
+
+
+def check_tracks(
+    estimates: Array, estimates_mask: Array, truths: Array, truths_mask: Array
+) -> tuple[int, int, int]:
+    """Check two sets of tracks over the same looks; return how many looks, estimates and truths.
+
+    Args:
+        estimates: [T, I, D], T ≥ 1.
+        estimates_mask: [T, I].
+        truths: [T, K, D].
+        truths_mask: [T, K].
+
+    Raises:
+        ValueError: shapes do not fit, or there is no look.
+        TypeError: not real numbers.
+
+    Example:
+        >>> there = jnp.ones((5, 2), bool)
+        >>> check_tracks(jnp.zeros((5, 2, 3)), there, jnp.zeros((5, 1, 3)), there[:, :1])
+        (5, 2, 1)
+    """
+    check_array("estimates", estimates, shape=("T", "I", "D"))
+    looks, left, dimension = jnp.shape(estimates)
+    check_array("estimates_mask", estimates_mask, shape=(looks, left))
+    check_array("truths", truths, shape=(looks, "K", dimension))
+    right = jnp.shape(truths)[1]
+    check_array("truths_mask", truths_mask, shape=(looks, right))
+    if looks == 0:
+        raise ValueError("estimates: got no looks, want at least one")
+    return looks, left, right
+
+
+def distances_over_time(
+    estimates: Array,
+    estimates_mask: Array,
+    truths: Array,
+    truths_mask: Array,
+    *,
+    cutoff: Any,
+    order: Any,
+) -> CutoffCosts:
+    """Return `cutoff_distances` of every look of two sets of tracks, shaped as for `check_tracks`.
+
+    Returns:
+        Distances [T, I, K] and masks [T, I] and [T, K], with at least one column on either side.
+
+    Example:
+        >>> point, there = jnp.zeros((5, 1, 2)), jnp.ones((5, 1), bool)
+        >>> sets = point, there, point + 3.0, there
+        >>> distances_over_time(*sets, cutoff=1.0, order=2.0).cost.shape
+        (5, 1, 1)
+    """
+    check_tracks(estimates, estimates_mask, truths, truths_mask)
+    one = lambda *sets: cutoff_distances(*sets, cutoff=cutoff, order=order)
+    return jax.vmap(one, out_axes=CutoffCosts(0, 0, 0, None, None))(  # pyright: ignore
+        estimates, estimates_mask, truths, truths_mask
+    )
 
 
 def _fill(points: Array, mask: Array) -> tuple[Array, Array]:

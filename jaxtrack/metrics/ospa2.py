@@ -5,9 +5,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxtrack.metrics.cutoff import CutoffCosts, cutoff_distances, safe_power
+from jaxtrack.metrics.cutoff import CutoffCosts, check_tracks, distances_over_time, safe_power
 from jaxtrack.metrics.ospa import Ospa, ospa_of_costs
-from jaxtrack.numerics.checks import check_array, check_size
+from jaxtrack.numerics.checks import check_size
 from jaxtrack.types import Array
 
 
@@ -42,7 +42,7 @@ def ospa2(
         Distance, localization (of the paired tracks) and cardinality (tracks too many or too few).
 
     Raises:
-        ValueError: shapes do not fit, or a known cut-off or order is out of range.
+        ValueError: shapes do not fit, there is no look, or a known number is out of range.
         TypeError: not real numbers.
 
     Example:
@@ -59,14 +59,8 @@ def ospa2(
         performance" (2017); "A Solution for Large-Scale Multi-Object Tracking" (2020), there with
         weights of the looks, which are equal here.
     """  # noqa: E501
-    check_array("estimates", estimates, shape=("T", "I", "D"))
-    looks, _, dimension = jnp.shape(estimates)
-    check_array("estimates_mask", estimates_mask, shape=jnp.shape(estimates)[:2])
-    check_array("truths", truths, shape=(looks, "K", dimension))
-    check_array("truths_mask", truths_mask, shape=jnp.shape(truths)[:2])
-    one = lambda *sets: cutoff_distances(*sets, cutoff=cutoff, order=order)
-    each = jax.vmap(one, out_axes=CutoffCosts(0, 0, 0, None, None))(  # pyright: ignore
-        estimates, estimates_mask, truths, truths_mask
+    each = distances_over_time(
+        estimates, estimates_mask, truths, truths_mask, cutoff=cutoff, order=order
     )
     found, true = each.estimates_mask[:, :, None], each.truths_mask[:, None, :]
     apart = jnp.where(found & true, each.cost, (found | true).astype(each.cost.dtype)).sum(0)
@@ -99,7 +93,7 @@ def ospa2_over_time(
         window: how many looks, static; the first values have fewer.
 
     Raises:
-        ValueError: shapes do not fit, or a known cut-off or order is out of range.
+        ValueError: shapes do not fit, there is no look, or a known number is out of range.
         TypeError: not real numbers.
 
     Example:
@@ -112,11 +106,7 @@ def ospa2_over_time(
     Source: Beard, Vo and Vo (2017).
     """
     check_size("window", window)
-    check_array("estimates", estimates, shape=("T", "I", "D"))
-    looks, tracks, dimension = jnp.shape(estimates)
-    check_array("estimates_mask", estimates_mask, shape=(looks, tracks))
-    check_array("truths", truths, shape=(looks, "K", dimension))
-    check_array("truths_mask", truths_mask, shape=jnp.shape(truths)[:2])
+    looks, _, _ = check_tracks(estimates, estimates_mask, truths, truths_mask)
     before = lambda x: jnp.pad(jnp.asarray(x), ((window - 1, 0),) + ((0, 0),) * (jnp.ndim(x) - 1))
     padded = [before(x) for x in (estimates, estimates_mask, truths, truths_mask)]
 

@@ -21,14 +21,14 @@ def trajectories(state: Array, mask: Array, identity: Array, *, identities: int)
     """Lay the tracks of T looks out by their identities.
 
     Args:
-        state: [T, M, D] tables of tracks, or those of their entries that matter.
+        state: [T, M, D] tables of tracks, or those of their entries that matter; M = 0: no tracks.
         mask: [T, M].
-        identity: [T, M] integers; what is masked or negative is no track.
+        identity: [T, M] signed integers; what is masked or negative is no track.
         identities: I, how many columns there are, static.
 
     Raises:
         ValueError: shapes do not fit.
-        TypeError: not real numbers, or identities that are not integers.
+        TypeError: not real numbers, or identities that are not signed integers.
 
     Example:
         Identity 7 moves from slot 0 to slot 1, and 9 takes its slot:
@@ -43,14 +43,20 @@ def trajectories(state: Array, mask: Array, identity: Array, *, identities: int)
         An identity that stands in a look twice is a tracker's mistake: its first slot counts.
     """
     check_array("state", state, shape=("T", "M", "D"))
-    check_array("mask", mask, shape=state.shape[:2])
-    check_array("identity", identity, shape=state.shape[:2])
-    if not jnp.issubdtype(jnp.result_type(identity), jnp.integer):
-        raise TypeError(f"identity: got dtype {jnp.result_type(identity)}, want integers")
+    table = jnp.shape(state)[:2]
+    check_array("mask", mask, shape=table)
+    check_array("identity", identity, shape=table)
+    dtype = jnp.result_type(identity)
+    if not jnp.issubdtype(dtype, jnp.signedinteger):
+        raise TypeError(f"identity: got dtype {dtype}, want signed integers: −1 is nobody's")
     check_size("identities", identities)
-    identity = jnp.asarray(identity)
-    nobody = jnp.iinfo(identity.dtype).max
-    label = jnp.where(jnp.asarray(mask, bool) & (identity >= 0), identity, nobody)
+    # One more slot, always empty: of no slots there is no first.
+    state, mask, identity = (
+        jnp.pad(x, ((0, 0), (0, 1)) + ((0, 0),) * (x.ndim - 2))
+        for x in (jnp.asarray(state), jnp.asarray(mask, bool), jnp.asarray(identity))
+    )
+    nobody = jnp.iinfo(dtype).max
+    label = jnp.where(mask & (identity >= 0), identity, nobody)
     # Room for one more, and for the label of what is no track, which is the last of all.
     labels = jnp.unique(label, size=identities + 1, fill_value=nobody)
     own = labels[:identities]
@@ -58,7 +64,7 @@ def trajectories(state: Array, mask: Array, identity: Array, *, identities: int)
     match = (label[:, :, None] == own[None, None, :]) & there[None, None, :]  # [T, M, I]
     slot = jnp.argmax(match, axis=1)
     seen = match.any(axis=1)
-    taken = jnp.take_along_axis(jnp.asarray(state), slot[..., None], axis=1)
+    taken = jnp.take_along_axis(state, slot[..., None], axis=1)
     return Trajectories(
         jnp.where(seen[..., None], taken, jnp.zeros((), taken.dtype)),
         seen,

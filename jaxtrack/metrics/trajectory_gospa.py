@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxtrack.metrics.cutoff import CutoffCosts, cutoff_costs, safe_power
+from jaxtrack.metrics.cutoff import check_tracks, distances_over_time, safe_power
 from jaxtrack.numerics.checks import check_array, check_positive
 from jaxtrack.types import Array
 
@@ -93,20 +93,23 @@ def trajectory_gospa(
         multi-dimensional assignment itself, not its relaxation to a linear programme.
 
     Note:
-        T looks keep T (m + 1)^n numbers until the assignments are read off.
+        With n = min(I, K), m = max(I, K) and A = (m + 1)^n it takes about 5 T n A additions and
+        comparisons and, until the assignments are read off, (T + 3) A numbers: 4 (T + 3) A bytes in
+        float32, 8 (T + 3) A in float64, at most 1 or 2 MiB a look, and that for every run of a
+        batch. Tracing makes a table of 8 n A bytes once. The gradient goes through the assigned
+        pairs alone and keeps nothing else.
     """
-    costs = _costs(
-        estimates,
-        estimates_mask,
-        truths,
-        truths_mask,
-        {"cutoff": cutoff, "order": order, "switch_cost": switch_cost},
+    _, left, right = check_tracks(estimates, estimates_mask, truths, truths_mask)
+    check_array("switch_cost", switch_cost, shape=())
+    check_positive("switch_cost", switch_cost, float)
+    _check_number(left, right)
+    costs = distances_over_time(
+        estimates, estimates_mask, truths, truths_mask, cutoff=cutoff, order=order
     )
     dtype = costs.cost.dtype
     change = safe_power(jnp.asarray(switch_cost, dtype) / costs.cutoff, costs.order)
-    pairs = jnp.where(
-        costs.estimates_mask[:, :, None] & costs.truths_mask[:, None, :], costs.cost, 1.0
-    )
+    both = costs.estimates_mask[:, :, None] & costs.truths_mask[:, None, :]
+    pairs = jnp.where(both, safe_power(costs.cost, costs.order), 1.0)
     # A pair that exists saves at most its missed and its false half; others save nothing.
     saved = jax.lax.stop_gradient(pairs - 1.0)
     turned = saved.shape[1] > saved.shape[2]
@@ -171,8 +174,7 @@ def assignments(cost: Array, change: Array) -> Array:
             arrive = through + half
             first = along(names == 0, row)
             moved = jnp.where(first, through, jnp.minimum(moved, arrive))
-        total = moved + here(at)
-        return total, total
+        return moved + here(at), best
 
     def backward(after: Array, best: Array) -> tuple[Array, Array]:
         for row in range(rows):
@@ -180,9 +182,7 @@ def assignments(cost: Array, change: Array) -> Array:
         before = jnp.stack(jnp.unravel_index(jnp.argmin(best), size)).astype(jnp.int32)
         return before, before
 
-    first = here(cost[0])
-    last, others = jax.lax.scan(forward, first, cost[1:])
-    best = jnp.concatenate([first[None], others])[:-1]
+    last, best = jax.lax.scan(forward, here(cost[0]), cost[1:])
     end = jnp.stack(jnp.unravel_index(jnp.argmin(last), size)).astype(jnp.int32)
     _, before = jax.lax.scan(backward, end, best, reverse=True)
     return jnp.concatenate([before, end[None]])
@@ -194,31 +194,11 @@ def _halves(before: Array, after: Array) -> Array:
     return jnp.where(before == after, 0, jnp.where(none, 1, 2))
 
 
-def _costs(
-    estimates: Array,
-    estimates_mask: Array,
-    truths: Array,
-    truths_mask: Array,
-    numbers: dict[str, Any],
-) -> CutoffCosts:
-    """Check everything; return costs of all looks, with at least one column on either side."""
-    check_array("estimates", estimates, shape=("T", "I", "D"))
-    looks, left, dimension = jnp.shape(estimates)
-    check_array("estimates_mask", estimates_mask, shape=(looks, left))
-    check_array("truths", truths, shape=(looks, "K", dimension))
-    right = jnp.shape(truths)[1]
-    check_array("truths_mask", truths_mask, shape=(looks, right))
-    if looks == 0:
-        raise ValueError("estimates: got no looks, want at least one")
-    check_positive("switch_cost", numbers["switch_cost"], float)
-    check_array("switch_cost", numbers["switch_cost"], shape=())
+def _check_number(left: int, right: int) -> None:
+    """Refuse tables of assignments that would not fit into memory."""
     count = (max(left, right, 1) + 1) ** max(min(left, right), 1)
     if count > MAX_ASSIGNMENTS:
         raise ValueError(
             f"estimates, truths: got {left} and {right} columns, which are {count} assignments a "
             f"look, want at most {MAX_ASSIGNMENTS}"
         )
-    one = lambda *sets: cutoff_costs(*sets, cutoff=numbers["cutoff"], order=numbers["order"])
-    return jax.vmap(one, out_axes=CutoffCosts(0, 0, 0, None, None))(  # pyright: ignore
-        estimates, estimates_mask, truths, truths_mask
-    )

@@ -144,6 +144,24 @@ def check_probability(name: str, value: Any, dtype: Any) -> Array:
     return jnp.where(value > 0, jnp.where(value < 1, value, one), 0 * one)
 
 
+def check_mask(name: str, value: Any, *, shape: tuple[int | str, ...]) -> None:
+    """Check that `value` is a boolean array of the wanted shape.
+
+    Numbers are refused: a mask of 0.0 and 1.0 would be added and compared, not believed.
+
+    Raises:
+        TypeError: not booleans.
+        ValueError: the shape differs.
+
+    Example:
+        >>> check_mask("scans.mask", jnp.ones((4, 2), bool), shape=("K", "N"))
+    """
+    check_array(name, value, shape=shape)
+    dtype = jnp.result_type(value)
+    if dtype != jnp.bool_:
+        raise TypeError(f"{name}: got dtype {dtype}, want booleans")
+
+
 def check_scans(scans: Scan) -> Scan:
     """Return stacked looks that are sound: floating positions [K, N, 2], and fields that fit them.
 
@@ -151,7 +169,7 @@ def check_scans(scans: Scan) -> Scan:
     traced ones such a detection counts as none, and so does a look whose time is no finite number.
 
     Raises:
-        TypeError: positions are not floating numbers.
+        TypeError: positions are not floating numbers, or `mask` or `valid` not booleans.
         ValueError: a shape differs, a look has no place for a detection, a value is not sound.
 
     Example:
@@ -159,24 +177,11 @@ def check_scans(scans: Scan) -> Scan:
         >>> print(check_scans(scans).mask.sum())
         12
     """  # noqa: E501
-    check_array("scans.position_m", scans.position_m, shape=("K", "N", 2))
-    dtype = jnp.result_type(scans.position_m)
-    if not jnp.issubdtype(dtype, jnp.floating):
-        raise TypeError(f"scans.position_m: got dtype {dtype}, want floating numbers")
-    looks, places = jnp.shape(scans.position_m)[:2]
-    check_size("scans.position_m, places for detections", places)
-    wanted = {
-        "time_s": (looks,),
-        "valid": (looks,),
-        "mask": (looks, places),
-        "covariance_m2": (looks, places, 2, 2),
-        "weight": (looks, places),
-        "delay_s": (looks, places),
-    }
-    for name, shape in wanted.items():
+    _check_looks(scans, "position_m", ("K", "N", 2), "places for detections")
+    looks, places = jnp.shape(scans.mask)
+    for name, shape in (("covariance_m2", (2, 2)), ("delay_s", ())):
         if getattr(scans, name) is not None:
-            check_array(f"scans.{name}", getattr(scans, name), shape=shape)
-    _check_known_looks("scans.position_m", scans, scans.position_m)
+            check_array(f"scans.{name}", getattr(scans, name), shape=(looks, places, *shape))
     return sound(scans)
 
 
@@ -204,10 +209,11 @@ def sound(scan: Scan) -> Scan:
 def check_beam_scans(scans: BeamScan) -> BeamScan:
     """Return stacked looks that are sound: floating ranges [K, B], and fields that fit them.
 
-    What `check_scans` says of positions is said here of ranges.
+    What `check_scans` says of positions is said here of ranges; a look without a finite pose is
+    none.
 
     Raises:
-        TypeError: ranges are not floating numbers.
+        TypeError: ranges are not floating numbers, or `mask` or `valid` not booleans.
         ValueError: a shape differs, a look has no beam, a value is not sound.
 
     Example:
@@ -217,37 +223,43 @@ def check_beam_scans(scans: BeamScan) -> BeamScan:
         >>> print(check_beam_scans(scans).mask.sum())
         12
     """  # noqa: E501
-    check_array("scans.range_m", scans.range_m, shape=("K", "B"))
-    dtype = jnp.result_type(scans.range_m)
+    _check_looks(scans, "range_m", ("K", "B"), "beams")
+    pose, looks = scans.pose, jnp.shape(scans.mask)[0]
+    check_array("scans.pose.position_m", pose.position_m, shape=(looks, 2))
+    check_array("scans.pose.heading_rad", pose.heading_rad, shape=(looks,))
+    at = jnp.isfinite(pose.position_m).all(-1) & jnp.isfinite(pose.heading_rad)
+    mask = scans.mask & jnp.isfinite(scans.range_m)
+    if scans.weight is not None:
+        mask = mask & jnp.isfinite(scans.weight)
+    return scans._replace(valid=scans.valid & jnp.isfinite(scans.time_s) & at, mask=mask)
+
+
+def _check_looks(
+    scans: Scan | BeamScan, measured: str, shape: tuple[int | str, ...], places: str
+) -> None:
+    """Check what looks of every sensor have: times, masks, weights, and what is measured."""
+    name, values = f"scans.{measured}", getattr(scans, measured)
+    check_array(name, values, shape=shape)
+    dtype = jnp.result_type(values)
     if not jnp.issubdtype(dtype, jnp.floating):
-        raise TypeError(f"scans.range_m: got dtype {dtype}, want floating numbers")
-    looks, beams = jnp.shape(scans.range_m)
-    check_size("scans.range_m, beams", beams)
-    wanted = {"time_s": (looks,), "valid": (looks,), "mask": (looks, beams)}
-    for name, shape in (wanted | {"weight": (looks, beams)}).items():
-        if getattr(scans, name) is not None:
-            check_array(f"scans.{name}", getattr(scans, name), shape=shape)
-    check_array("scans.pose.position_m", scans.pose.position_m, shape=(looks, 2))
-    check_array("scans.pose.heading_rad", scans.pose.heading_rad, shape=(looks,))
-    _check_known_looks("scans.range_m", scans, scans.range_m[..., None])
-    at = jnp.isfinite(scans.pose.position_m).all(-1) & jnp.isfinite(scans.pose.heading_rad)
-    return scans._replace(
-        valid=scans.valid & jnp.isfinite(scans.time_s) & at,
-        mask=scans.mask & jnp.isfinite(scans.range_m),
-    )
-
-
-def _check_known_looks(name: str, scans: Scan | BeamScan, places: Any) -> None:
-    """Refuse known looks with live places [K, N, D] that are no numbers, or with broken times."""
+        raise TypeError(f"{name}: got dtype {dtype}, want floating numbers")
+    table = jnp.shape(values)[:2]
+    check_size(f"{name}, {places}", table[1])
+    check_array("scans.time_s", scans.time_s, shape=table[:1])
+    check_mask("scans.valid", scans.valid, shape=table[:1])
+    check_mask("scans.mask", scans.mask, shape=table)
+    if scans.weight is not None:
+        check_array("scans.weight", scans.weight, shape=table)
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scans)):
         return
-    valid = np.asarray(scans.valid)
-    live = np.asarray(scans.mask) & valid[:, None]
-    broken = np.argwhere(live & ~np.isfinite(np.asarray(places)).all(-1))
+    valid, values = np.asarray(scans.valid), np.asarray(values)
+    finite = np.isfinite(values).reshape(*table, -1).all(-1)
+    broken = np.argwhere(np.asarray(scans.mask) & valid[:, None] & ~finite)
     if len(broken):
         look, place = broken[0]
-        got = np.asarray(places)[look, place]
-        raise ValueError(f"{name}: got {got} at [{look}, {place}], want finite numbers")
+        raise ValueError(
+            f"{name}: got {values[look, place]} at [{look}, {place}], want finite numbers"
+        )
     time_s = np.asarray(scans.time_s)[valid]
     if not np.isfinite(time_s).all() or (np.diff(time_s) < 0).any():
         raise ValueError(f"scans.time_s: got {time_s}, want finite times that do not run back")

@@ -150,7 +150,8 @@ def observe_echoes(
     check_size("echoes", echoes)
     check_size("clutter", clutter)
     check_probability("sensor.p_detect", sensor.p_detect, truth.state.dtype)
-    check_known("sensor.echoes", sensor.echoes, lambda x: x >= 1, "at least one echo")
+    some = lambda x: (x >= 1) & np.isfinite(x)
+    check_known("sensor.echoes", sensor.echoes, some, "at least one echo")
     for name in ("spread_m", "clutter_per_m2"):
         amount = lambda x: (x >= 0) & np.isfinite(x)
         check_known(f"sensor.{name}", getattr(sensor, name), amount, "a number of at least 0")

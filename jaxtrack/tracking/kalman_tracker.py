@@ -28,6 +28,7 @@ from jaxtrack.numerics.checks import (
     check_array,
     check_choice,
     check_known,
+    check_mask,
     check_positive,
     check_probability,
     check_size,
@@ -137,7 +138,7 @@ def kalman_tracker(
         check_choice("associator", associator, tuple(ASSOCIATORS))
         associator = ASSOCIATORS[associator]
     associate, update = associator
-    _check(params)
+    _check(params, confirm_looks)
 
     def constant_velocity(mean: Array, covariance: Array, dt_s: Array) -> Linear:
         noise = white_noise_acceleration(dt_s, params.sigma_a_m_s2)
@@ -155,6 +156,8 @@ def kalman_tracker(
     def step(state: KalmanTrackerState, scan: Scan) -> tuple[KalmanTrackerState, KalmanTrackerInfo]:
         table, dtype = state.table, state.table.tracks.mean.dtype
         number = lambda x: jnp.asarray(x, dtype)
+        check_mask("scan.valid", scan.valid, shape=())
+        check_mask("scan.mask", scan.mask, shape=jnp.shape(scan.position_m)[:1])
         scan = _in(dtype, sound(scan))
         tracks = table.tracks
         time_s = jnp.where(scan.valid, scan.time_s, tracks.time_s)
@@ -244,7 +247,7 @@ def _births(scan: Scan, free: Array, noise_m2: Array, params: KalmanTrackerParam
     return Births(mean, covariance, free, safe_log(jnp.where(free, weight, 1.0)))
 
 
-def _check(params: KalmanTrackerParams) -> None:
+def _check(params: KalmanTrackerParams, confirm_looks: int) -> None:
     dtype = jnp.result_type(float)
     for name, value in params._asdict().items():
         if name != "lifecycle" and value is not None:
@@ -258,3 +261,8 @@ def _check(params: KalmanTrackerParams) -> None:
     check_known("params.sigma_a_m_s2", params.sigma_a_m_s2, amount, want)
     check_known("params.gate", params.gate, lambda x: x > 0, "a positive number")
     check_probability("params.p_detect", params.p_detect, dtype)
+    for name, value in params.lifecycle._asdict().items():
+        check_array(f"params.lifecycle.{name}", value, shape=())
+        check_known(f"params.lifecycle.{name}", value, lambda n: n >= 1, "at least one look")
+    hits, want = params.lifecycle.confirm_hits, f"no more than confirm_looks, {confirm_looks}"
+    check_known("params.lifecycle.confirm_hits", hits, lambda n: n <= confirm_looks, want)

@@ -18,7 +18,6 @@ from jaxtrack.metrics import (
 )
 from jaxtrack.models import range_bearing, transition_matrix, white_noise_acceleration
 from jaxtrack.types import Pose
-from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import consistency as oracle
 
 LOOKS, SIZE = 6, 4
@@ -74,8 +73,6 @@ def test_normalized_errors_equal_the_quadratic_form():
     singular = error(mean, np.zeros((4, 4)), truth)
     assert not bool(singular.definite)
     assert np.isfinite(singular.squared)
-    p = definite(rng, 2)
-    assert_gradients_agree(lambda v, p: nis(v, (p + p.T) / 2).squared, truth[:2], p, rtol=1e-5)
 
 
 def test_quantiles_equal_scipys():
@@ -155,21 +152,6 @@ def test_information_of_range_and_bearing_is_the_mean_over_the_states():
     wanted = oracle.range_bearing_information(states, mask, position, noise, p_detect)
     np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(run(np.nan * states, np.zeros(50, bool), p_detect), 0.0)
-
-
-def test_gradient_of_the_bound_equals_differences():
-    rng = np.random.default_rng(8)
-    (f, q), p = motion(rng), definite(rng)
-
-    def loss(sigma, p_detect):
-        noise = sigma**2 * jnp.eye(2)
-        g = measurement_information(
-            jnp.zeros((1, 4)), jnp.ones(1, bool), lambda x: x[:2], noise, p_detect
-        )
-        bound = cramer_rao(p, f, q, jnp.broadcast_to(g, (LOOKS, 4, 4))).covariance
-        return jnp.trace(bound[-1, :2, :2])
-
-    assert_gradients_agree(loss, 3.0, 0.7)
 
 
 def test_errors_name_the_argument():

@@ -112,6 +112,9 @@ def test_probabilities_are_kept_and_others_refused_or_moved():
         ("position_m", np.zeros((3, 4, 2), int), "want floating numbers"),
         ("position_m", np.zeros((3, 0, 2)), "places for detections: got 0"),
         ("mask", np.ones((3, 5), bool), r"mask: got shape \[3, 5\], want \[3, 4\]"),
+        ("mask", np.ones((3, 4)), "scans.mask: got dtype float64, want booleans"),
+        ("mask", np.full((3, 4), 2), "scans.mask: got dtype int64, want booleans"),
+        ("valid", np.ones(3), "scans.valid: got dtype float64, want booleans"),
         ("time_s", np.zeros(2), "time_s: got shape"),
         ("covariance_m2", np.zeros((3, 4, 2)), "covariance_m2: got shape"),
         ("weight", np.zeros(4), "weight: got shape"),
@@ -120,8 +123,10 @@ def test_probabilities_are_kept_and_others_refused_or_moved():
 def test_fields_of_looks_that_do_not_fit_are_named(field, value, message):
     scans = Scan(np.zeros(3), np.ones(3, bool), np.zeros((3, 4, 2)), np.ones((3, 4), bool))
     check_scans(scans)
-    with pytest.raises((TypeError, ValueError), match=message):
-        check_scans(scans._replace(**{field: value}))
+    wrong = scans._replace(**{field: value})
+    for check in (check_scans, jax.jit(check_scans)):
+        with pytest.raises((TypeError, ValueError), match=message):
+            check(wrong)
 
 
 def test_known_looks_with_broken_values_are_refused_and_traced_ones_seen_as_absent():

@@ -97,7 +97,10 @@ def test_paths_meet_where_they_should_inside_the_field():
         straight = np.asarray(path(Meeting(*map(jnp.asarray, meeting))._replace(sigma_a_m_s2=0.0)))
         apart = np.linalg.norm(straight[:, 0, :2] - straight[:, 1, :2], axis=-1)
         assert apart[12] == pytest.approx(meeting.gap_m, abs=1e-12), name
-        assert apart.argmin() == (12 if meeting.gap_m == 0.0 else 0)
+        if meeting.angle_rad == 0.0:  # side by side
+            np.testing.assert_allclose(apart, meeting.gap_m, atol=1e-12)
+        else:
+            assert np.delete(apart, 12).min() > apart[12] + 0.5
         np.testing.assert_allclose(straight[12, :, :2].mean(0), MEETING_M)
         np.testing.assert_allclose(np.linalg.norm(straight[..., 2:], axis=-1), 1.25)
         course = np.arctan2(straight[0, :, 3], straight[0, :, 2])

@@ -111,6 +111,22 @@ def test_order_and_padding_change_nothing():
     chex.assert_trees_all_close(longer.table, expected.table, rtol=1e-9)
 
 
+def test_extreme_looks_leave_finite_tables_and_empty_ones_no_tracks():
+    full = scene(5)._replace(position_m=np.nan_to_num(scene(5).position_m))
+    cases = {
+        "full": full._replace(mask=np.ones_like(full.mask)),
+        "empty": full._replace(mask=np.zeros_like(full.mask), position_m=full.position_m * np.nan),
+        "coincident": full._replace(position_m=np.full_like(full.position_m, 7.0)),
+        "frozen": full._replace(time_s=np.zeros(LOOKS)),
+        "none": full._replace(valid=np.zeros(LOOKS, bool), time_s=np.full(LOOKS, np.nan)),
+    }
+    for name, case in cases.items():
+        state, info = run("jpda", case)
+        for leaf in jax.tree.leaves((state.table, info.tracks, info.weight)):
+            assert np.isfinite(leaf).all(), name
+        assert info.tracks.mask.any() == (name not in ("empty", "none")), name
+
+
 def test_vmap_is_a_loop_and_other_values_do_not_trace_again():
     several = [scene(seed) for seed in range(3)]
     stacked = jax.tree.map(lambda *x: np.stack(x), *several)
