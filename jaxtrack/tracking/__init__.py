@@ -1,6 +1,7 @@
 """Stages wired together: from lines to tracks, from a recording to tracks, from look to look."""
 
 from jaxtrack.tracking.initiate import InitiateInfo, InitiateParams, initiate
+from jaxtrack.tracking.kalman_paper import KalmanPaperParams, kalman_paper
 from jaxtrack.tracking.kalman_tracker import (
     KalmanTrackerInfo,
     KalmanTrackerParams,
@@ -23,6 +24,7 @@ __all__ = [
     "Births",
     "InitiateInfo",
     "InitiateParams",
+    "KalmanPaperParams",
     "KalmanTrackerInfo",
     "KalmanTrackerParams",
     "KalmanTrackerState",
@@ -35,6 +37,7 @@ __all__ = [
     "grade",
     "initiate",
     "initiate_window",
+    "kalman_paper",
     "kalman_tracker",
     "sliding",
 ]
