@@ -7,6 +7,7 @@ from jaxtrack.tracking.hough_tracker import (
     hough_tracker,
 )
 from jaxtrack.tracking.initiate import InitiateInfo, InitiateParams, initiate
+from jaxtrack.tracking.kalman_paper import KalmanPaperParams, kalman_paper
 from jaxtrack.tracking.kalman_tracker import (
     KalmanTrackerInfo,
     KalmanTrackerParams,
@@ -32,6 +33,7 @@ __all__ = [
     "HoughTrackerState",
     "InitiateInfo",
     "InitiateParams",
+    "KalmanPaperParams",
     "KalmanTrackerInfo",
     "KalmanTrackerParams",
     "KalmanTrackerState",
@@ -45,6 +47,7 @@ __all__ = [
     "hough_tracker",
     "initiate",
     "initiate_window",
+    "kalman_paper",
     "kalman_tracker",
     "sliding",
 ]

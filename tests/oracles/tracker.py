@@ -31,7 +31,7 @@ def assign(name, tracks, detections, known):
     return [({i: b for i, b in enumerate(row[:-1]) if b > 0}, row[-1]) for row in rows]
 
 
-def run(scans, name, *, slots, last, lives, sigma, sigma_a, known, birth_speed):
+def run(scans, name, *, slots, last, lives, sigma, sigma_a, known, birth_speed=None, birth=None):
     """Return after each look a list of slots: None, or (identity, mean, covariance, stage, score).
 
     Args:
@@ -44,10 +44,14 @@ def run(scans, name, *, slots, last, lives, sigma, sigma_a, known, birth_speed):
         sigma_a: acceleration.
         known: P_D, clutter and gate.
         birth_speed: deviation of a new track's velocity.
+        birth: (state at rest at the detection) → mean and covariance of a new track; None: that
+            state, with the detection's noise and birth_speed.
     """
     book, covariance, before, history = Book(slots, last, *lives), [None] * slots, None, []
     noise = sigma**2 * np.eye(2)
     p_detect, clutter, gate = known
+    if birth is None:
+        birth = lambda mean: (mean, np.diag([sigma**2] * 2 + [birth_speed**2] * 2))
     for time, valid, places in scans:
         if valid:
             detections = [None if z is None else (np.array(z), noise, 1.0) for z in places]
@@ -90,9 +94,9 @@ def run(scans, name, *, slots, last, lives, sigma, sigma_a, known, birth_speed):
             ]
             book.admit([(mean, 0.0) for mean in born])
             for slot in empty:
-                if book.slots[slot] is not None:
-                    book.slots[slot].mean = np.array(book.slots[slot].mean)
-                    covariance[slot] = np.diag([sigma**2] * 2 + [birth_speed**2] * 2)
+                track = book.slots[slot]
+                if track is not None:
+                    track.mean, covariance[slot] = birth(np.array(track.mean))
         history.append(
             [
                 None
