@@ -25,6 +25,7 @@ from jaxtrack.tracking.lifecycle import (
     LifecycleParams,
     TrackTable,
     admit,
+    check_lifecycle,
     empty_table,
     grade,
 )
@@ -39,8 +40,7 @@ class HoughTrackerParams(NamedTuple):
 
     sigma_a_m_s2: Array | float = 0.01  # [] white-noise acceleration of each coordinate
     gate: Array | float = 18.5  # squared Mahalanobis distance in [x, y, vx, vy]; holds 99.9 %
-    confirm_score: Array | float = 0.0  # [] that an estimate must have to confirm its track
-    lifecycle: LifecycleParams = LifecycleParams(1, 3, 2)
+    lifecycle: LifecycleParams = LifecycleParams(confirm_hits=1, delete_misses=3)
 
 
 class Past(NamedTuple):
@@ -91,7 +91,7 @@ def hough_tracker(
         x = x₋ + P₋ (P₋ + P̂)⁻¹ (x̂ − x₋),    P = P₋ − P₋ (P₋ + P̂)⁻¹ P₋,
 
     and no look counts twice. Younger tracks are their estimates. For the same reason hits in a row
-    say little: what confirms a track is its estimate's score.
+    say little: `lifecycle.confirm_score` is what confirms a track.
 
     Args:
         estimate: the window estimator, its parameters bound: `scans [W, ...] -> (tracks, info)`,
@@ -135,7 +135,7 @@ def hough_tracker(
     """  # noqa: E501
     check_size("max_tracks", max_tracks)
     check_size("confirm_looks", confirm_looks)
-    _check(params)
+    _check(params, confirm_looks)
     window_of, look_at = sliding(estimate, like=like, window=window)
     sees: Detect = (lambda mean, scan: jnp.ones((), mean.dtype)) if p_detect is None else p_detect
 
@@ -174,11 +174,10 @@ def hough_tracker(
             covariance=covariance,
             log_score=jnp.where(hit, estimates.log_score[columns], table.tracks.log_score),
         )
-        sure = estimates.log_score >= params.confirm_score
-        before = table._replace(tracks=updated)
-        graded = grade(before, hit, counted | hit, params.lifecycle, sure[columns])
-        new = estimates.mask & ~claimed
-        births = Births(estimates.mean, estimates.covariance, new, estimates.log_score, sure)
+        graded = grade(table._replace(tracks=updated), hit, counted | hit, params.lifecycle)
+        births = Births(
+            estimates.mean, estimates.covariance, estimates.mask & ~claimed, estimates.log_score
+        )
         after, full = admit(graded, births, params.lifecycle)
         share = jnp.where(after.tracks.mask, after.hit.mean(1, dtype=now.dtype), 0.0)
         after = after._replace(tracks=after.tracks._replace(existence=share))
@@ -260,10 +259,11 @@ def _valid_of(scan: Any) -> Array:
     return scan.valid
 
 
-def _check(params: HoughTrackerParams) -> None:
-    for name in ("sigma_a_m_s2", "gate", "confirm_score"):
+def _check(params: HoughTrackerParams, confirm_looks: int) -> None:
+    for name in ("sigma_a_m_s2", "gate"):
         check_array(f"params.{name}", getattr(params, name), shape=())
     amount = lambda x: (x >= 0) & np.isfinite(x)
     want = "an acceleration of at least 0 m/s²"
     check_known("params.sigma_a_m_s2", params.sigma_a_m_s2, amount, want)
     check_known("params.gate", params.gate, lambda x: x > 0, "a positive number")
+    check_lifecycle(params.lifecycle, confirm_looks)

@@ -40,6 +40,7 @@ from jaxtrack.tracking.lifecycle import (
     LifecycleParams,
     TrackTable,
     admit,
+    check_lifecycle,
     empty_table,
     grade,
 )
@@ -261,8 +262,4 @@ def _check(params: KalmanTrackerParams, confirm_looks: int) -> None:
     check_known("params.sigma_a_m_s2", params.sigma_a_m_s2, amount, want)
     check_known("params.gate", params.gate, lambda x: x > 0, "a positive number")
     check_probability("params.p_detect", params.p_detect, dtype)
-    for name, value in params.lifecycle._asdict().items():
-        check_array(f"params.lifecycle.{name}", value, shape=())
-        check_known(f"params.lifecycle.{name}", value, lambda n: n >= 1, "at least one look")
-    hits, want = params.lifecycle.confirm_hits, f"no more than confirm_looks, {confirm_looks}"
-    check_known("params.lifecycle.confirm_hits", hits, lambda n: n <= confirm_looks, want)
+    check_lifecycle(params.lifecycle, confirm_looks)

@@ -1,16 +1,18 @@
 """The life of tracks in a table of fixed size: admitted, confirmed, coasting, deleted.
 
-A track is tentative when it is admitted. M hits among its last N counted looks confirm it; a
-confirmed track that misses a look coasts; too many misses in a row delete it. What counts is for
-the tracker to say: a look that is not valid, or does not reach the track, is no miss.
+A track is tentative when it is admitted. M hits among its last N counted looks confirm it, if its
+score is high enough; a confirmed track that misses a look coasts; too many misses in a row delete
+it. What counts is for the tracker to say: a look that is not valid, or does not reach the track, is
+no miss.
 """
 
+import math
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from jaxtrack.numerics.checks import check_array, check_size
+from jaxtrack.numerics.checks import check_array, check_known, check_size
 from jaxtrack.types import Array, Stage, Tracks
 
 
@@ -18,6 +20,7 @@ class LifecycleParams(NamedTuple):
     """When tracks are confirmed and deleted. Traced."""
 
     confirm_hits: Array | int = 3  # M, among the last N counted looks
+    confirm_score: Array | float = -math.inf  # and the log score has to be this
     delete_misses: Array | int = 5  # in a row, of a confirmed track
     delete_tentative_misses: Array | int = 2  # in a row, of a tentative one
 
@@ -38,7 +41,25 @@ class Births(NamedTuple):
     covariance: Array  # [B, S, S]
     mask: Array  # [B]
     log_score: Array  # [B] where slots are few, the highest are admitted
-    sure: Array | None = None  # [B] what else confirmation asks for is there; None: nothing else
+
+
+def check_lifecycle(params: LifecycleParams, looks: int) -> None:
+    """Check known numbers of `params.lifecycle`, for a rule of M of N looks.
+
+    Raises:
+        ValueError: a number is not a scalar, is below one look, or M is more than N.
+
+    Example:
+        >>> check_lifecycle(LifecycleParams(), 5)
+    """
+    for name, value in params._asdict().items():
+        check_array(f"params.lifecycle.{name}", value, shape=())
+        if name != "confirm_score":
+            check_known(f"params.lifecycle.{name}", value, lambda n: n >= 1, "at least one look")
+    want = f"no more than confirm_looks, {looks}"
+    check_known("params.lifecycle.confirm_hits", params.confirm_hits, lambda n: n <= looks, want)
+    score = params.confirm_score
+    check_known("params.lifecycle.confirm_score", score, lambda x: x == x, "a number")
 
 
 def empty_table(time_s: Array, *, tracks: int, state: int, looks: int) -> TrackTable:
@@ -77,21 +98,14 @@ def empty_table(time_s: Array, *, tracks: int, state: int, looks: int) -> TrackT
     )
 
 
-def grade(
-    table: TrackTable,
-    hit: Array,
-    counted: Array,
-    params: LifecycleParams,
-    sure: Array | None = None,
-) -> TrackTable:
+def grade(table: TrackTable, hit: Array, counted: Array, params: LifecycleParams) -> TrackTable:
     """Return the table after a look: tracks confirmed, coasting or deleted.
 
     Args:
         table: before.
         hit: [M] the look held a detection of the track.
         counted: [M] the look could have held one; where not, nothing changes.
-        params: the numbers of hits and misses.
-        sure: [M] what else a tentative track's confirmation asks for is there; None: nothing else.
+        params: the numbers of hits and misses, and the score.
 
     Example:
         >>> table = empty_table(jnp.asarray(0.0), tracks=1, state=4, looks=3)
@@ -115,9 +129,7 @@ def grade(
     misses = jnp.where(counted, jnp.where(hit, 0, table.misses + 1), table.misses)
 
     enough = history.sum(1, dtype=jnp.int32) >= jnp.asarray(params.confirm_hits)
-    if sure is not None:
-        check_array("sure", sure, shape=table.misses.shape)
-        enough = enough & sure
+    enough = enough & (tracks.log_score >= params.confirm_score)
     confirmed = (tracks.stage >= Stage.CONFIRMED) | (hit & enough)
     patience = jnp.where(
         confirmed,
@@ -142,7 +154,7 @@ def admit(table: TrackTable, births: Births, params: LifecycleParams) -> tuple[T
     Args:
         table: before.
         births: B candidates.
-        params: the number of hits.
+        params: the number of hits, and the score.
 
     Example:
         >>> table = empty_table(jnp.asarray(0.0), tracks=2, state=4, looks=3)
@@ -156,9 +168,8 @@ def admit(table: TrackTable, births: Births, params: LifecycleParams) -> tuple[T
     candidates, state = births.mean.shape
     check_array("births.mean", births.mean, shape=("B", tracks.mean.shape[1]))
     check_array("births.covariance", births.covariance, shape=(candidates, state, state))
-    sure = jnp.ones(candidates, bool) if births.sure is None else births.sure
-    for name, value in (("mask", births.mask), ("log_score", births.log_score), ("sure", sure)):
-        check_array(f"births.{name}", value, shape=(candidates,))
+    for name in ("mask", "log_score"):
+        check_array(f"births.{name}", getattr(births, name), shape=(candidates,))
     score = jax.lax.stop_gradient(jnp.where(births.mask, births.log_score, 0.0))
     best_first = jnp.lexsort((-score, ~births.mask))
     wanted = births.mask.sum(dtype=jnp.int32)
@@ -168,7 +179,8 @@ def admit(table: TrackTable, births: Births, params: LifecycleParams) -> tuple[T
     taken = free & (rank < wanted)
     source = best_first[jnp.clip(rank, 0, candidates - 1)]
     fill = lambda new, old: jnp.where(taken.reshape(-1, *(1,) * (old.ndim - 1)), new, old)
-    at_once = sure[source] & (jnp.asarray(params.confirm_hits) <= 1)
+    at_once = jnp.asarray(params.confirm_hits) <= 1
+    at_once = at_once & (births.log_score[source] >= params.confirm_score)
     stage = jnp.where(at_once, Stage.CONFIRMED, Stage.TENTATIVE).astype(tracks.stage.dtype)
     admitted = tracks._replace(
         mean=fill(births.mean[source], tracks.mean),

@@ -51,7 +51,11 @@ def run(scans, *, window, slots, last, lives, gate, sigma, sigma_a, score):
         sigma_a: acceleration.
         score: that confirms a track: the number of detections in its window.
     """
-    book, past, history = Book(slots, last, *lives), {}, []  # past: identity → [(time, m, P), ...]
+    book, past, history = (
+        Book(slots, last, *lives, score),
+        {},
+        [],
+    )  # past: identity → [(time, m, P), ...]
     looks = []
     for time, valid, places in scans:
         if valid:
@@ -85,7 +89,7 @@ def run(scans, *, window, slots, last, lives, gate, sigma, sigma_a, score):
                     continue
                 mean, covariance = predicted[slot]
                 if slot in own:
-                    mean, covariance, _ = estimates[own[slot]]
+                    mean, covariance, track.log_score = estimates[own[slot]]
                     known = past[track.identity]
                     if len(known) >= window:
                         before, old, spread = known[-window]
@@ -96,12 +100,11 @@ def run(scans, *, window, slots, last, lives, gate, sigma, sigma_a, score):
                         covariance = np.linalg.inv(weight)
                         mean = covariance @ joined
                 past[track.identity].append((time, mean, covariance))
-            sure = [slot in own and estimates[own[slot]][2] >= score for slot in range(slots)]
             hit = [slot in own for slot in range(slots)]
-            book.grade(hit, [track is not None for track in book.slots], sure)
+            book.grade(hit, [track is not None for track in book.slots])
             free = [slot for slot, track in enumerate(book.slots) if track is None]
             new = [e for i, e in enumerate(estimates) if e is not None and i not in near]
-            book.admit([(e[0], float(e[2]), e[2] >= score) for e in new])
+            book.admit([(e[0], float(e[2])) for e in new])
             for slot in free:
                 track = book.slots[slot]
                 if track is not None:

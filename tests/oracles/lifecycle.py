@@ -22,20 +22,20 @@ class Track:
 class Book:
     """Slots for tracks; None where one is free."""
 
-    def __init__(self, slots, last, confirm, delete, delete_tentative):
+    def __init__(self, slots, last, confirm, delete, delete_tentative, score=float("-inf")):
         self.slots = [None] * slots
         self.last, self.confirm = last, confirm
         self.delete, self.delete_tentative = delete, delete_tentative
-        self.next_identity = 0
+        self.score, self.next_identity = score, 0
 
-    def grade(self, hit, counted, sure=None):
+    def grade(self, hit, counted):
         for slot, track in enumerate(self.slots):
             if track is None or not counted[slot]:
                 continue
             track.history = ([*track.history, bool(hit[slot])])[-self.last :]
             if hit[slot]:
                 track.misses = 0
-                if sum(track.history) >= self.confirm and (sure is None or sure[slot]):
+                if sum(track.history) >= self.confirm and track.log_score >= self.score:
                     track.confirmed = True
             else:
                 track.misses += 1
@@ -44,14 +44,14 @@ class Book:
                 self.slots[slot] = None
 
     def admit(self, candidates):
-        """Take (mean, score) or (mean, score, sure), the highest scores first; was it too many?"""
+        """Take (mean, score) pairs, the highest scores first; return whether some found no slot."""
         crowded = False
-        for mean, score, *sure in sorted(candidates, key=lambda c: -c[1]):
+        for mean, score in sorted(candidates, key=lambda c: -c[1]):
             free = [slot for slot, track in enumerate(self.slots) if track is None]
             if not free:
                 crowded = True
                 continue
-            at_once = self.confirm <= 1 and all(sure)
+            at_once = self.confirm <= 1 and score >= self.score
             self.slots[free[0]] = Track(self.next_identity, list(mean), score, at_once)
             self.next_identity += 1
         return crowded

@@ -16,7 +16,7 @@ from tests.oracles import hough_tracker as oracle
 
 SIGMA_M, WINDOW, SLOTS, LAST, LOOKS, PLACES = 2.0, 5, 4, 4, 24, 5
 LIVES, SCORE = (1, 4, 2), 4.0
-PARAMS = HoughTrackerParams(0.05, 18.5, SCORE, LifecycleParams(*LIVES))
+PARAMS = HoughTrackerParams(0.05, 18.5, LifecycleParams(LIVES[0], SCORE, *LIVES[1:]))
 
 
 def lines(scans):
@@ -82,7 +82,7 @@ def run(scans, params=PARAMS):
 def test_agrees_with_the_loop(seed):
     scans, _, _ = scene(seed)
     lives = (1, *LIVES[1:]) if seed % 2 else (3, *LIVES[1:])
-    _, info = run(scans, PARAMS._replace(lifecycle=LifecycleParams(*lives)))
+    _, info = run(scans, PARAMS._replace(lifecycle=LifecycleParams(lives[0], SCORE, *lives[1:])))
     looks = [
         (t, v, [tuple(z) if m else None for z, m in zip(zs, ms, strict=True)])
         for t, v, zs, ms in zip(*scans[:4], strict=True)

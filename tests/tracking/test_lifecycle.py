@@ -12,15 +12,15 @@ PARAMS = LifecycleParams(confirm_hits=3, delete_misses=3, delete_tentative_misse
 
 
 @jax.jit
-def run(looks, params=PARAMS, sure=None):
+def run(looks, params=PARAMS):
     def step(table, look):
-        (hit, counted, births), sure = look
-        table = grade(table, hit, counted, params, sure)
+        hit, counted, births = look
+        table = grade(table, hit, counted, params)
         table, crowded = admit(table, births, params)
         return table, (table, crowded)
 
     begin = empty_table(jnp.zeros(()), tracks=SLOTS, state=STATE, looks=LAST)
-    return jax.lax.scan(step, begin, (looks, sure))[1]
+    return jax.lax.scan(step, begin, looks)[1]
 
 
 def random_looks(seed, looks, p_hit=0.6, p_counted=0.9, p_birth=0.15):
@@ -39,20 +39,21 @@ def random_looks(seed, looks, p_hit=0.6, p_counted=0.9, p_birth=0.15):
     )
 
 
-def test_one_hit_confirms_at_once_where_that_is_enough_and_nothing_else_is_asked_for():
-    looks = random_looks(5, 40, p_birth=0.3)
-    rng = np.random.default_rng(6)
-    sure, births_sure = rng.random((40, SLOTS)) < 0.3, rng.random((40, CANDIDATES)) < 0.4
-    looks = (*looks[:2], looks[2]._replace(sure=births_sure))
-    tables, _ = run(looks, PARAMS._replace(confirm_hits=1), sure)
-    book = Book(SLOTS, LAST, 1, 3, 2)
+@pytest.mark.parametrize("hits", [1, 2])
+def test_few_hits_confirm_only_what_has_the_score(hits):
+    looks = random_looks(7, 40, p_hit=0.7, p_birth=0.3)
+    score = float(np.nanmedian(looks[2].log_score))
+    tables, _ = run(looks, PARAMS._replace(confirm_hits=hits, confirm_score=score))
+    book = Book(SLOTS, LAST, hits, 3, 2, score)
+    seen = set()
     for k in range(40):
-        book.grade(looks[0][k], looks[1][k], sure[k])
+        book.grade(looks[0][k], looks[1][k])
         there = np.flatnonzero(looks[2].mask[k])
-        scores = looks[2].log_score[k]
-        book.admit([(looks[2].mean[k, n], scores[n], births_sure[k, n]) for n in there])
+        book.admit([(looks[2].mean[k, n], looks[2].log_score[k, n]) for n in there])
         stages = [0 if track is None else track.stage for track in book.slots]
         np.testing.assert_array_equal(tables.tracks.stage[k], stages)
+        seen |= {(track.history.count(True) >= hits, track.stage) for track in book.slots if track}
+    assert {(True, 1), (True, 2)} <= seen
 
 
 @pytest.mark.parametrize("seed", range(10))
