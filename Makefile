@@ -31,9 +31,10 @@ lint: $(DEV) ## style, types, layers, notebooks without outputs
 	$(BIN)/lint-imports
 	$(BIN)/nbstripout --verify notebooks/*.ipynb
 
-bench: $(DEV) ## ours against NumPy and the paper's times
+bench: $(DEV) ## ours against NumPy, the paper's times and other libraries
 	$(BIN)/python benchmarks/initiators.py
 	$(BIN)/python benchmarks/sonar.py
+	$(BIN)/python benchmarks/trackers.py
 
 notebooks: $(DEV) ## execute every notebook, leaving the files as they are
 	for book in notebooks/*.ipynb; do \

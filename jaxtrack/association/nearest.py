@@ -131,17 +131,20 @@ def greedy_pairs(distance: Array, allowed: Array) -> Array:
         return jnp.full(rows, -1, jnp.int32)
     distance = jax.lax.stop_gradient(distance)
 
-    def take(_: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
+    # Pairs that are each other's closest are all taken at once: none of them, nor a closer pair,
+    # would take from another. A few rounds do what would else need one step a pair.
+    def take(state: tuple[Array, Array]) -> tuple[Array, Array]:
         found, open_ = state
-        best = masked_argmin(distance.reshape(-1), open_.reshape(-1)).astype(jnp.int32)
-        row, column = best // columns, best % columns
-        some = open_.any()
-        mine, theirs = every_row == row, every_column == column
-        found = jnp.where(mine & some, column, found)
+        column = masked_argmin(distance, open_, axis=1).astype(jnp.int32)
+        row = masked_argmin(distance, open_, axis=0).astype(jnp.int32)
+        own = every_column[None, :] == column[:, None]
+        mutual = open_ & own & (every_row[:, None] == row[None, :])
+        mine, theirs = mutual.any(1), mutual.any(0)
+        found = jnp.where(mine, column, found)
         return found, open_ & ~mine[:, None] & ~theirs[None, :]
 
     start = jnp.full(rows, -1, jnp.int32), allowed
-    return jax.lax.fori_loop(0, min(rows, columns), take, start)[0]
+    return jax.lax.while_loop(lambda state: state[1].any(), take, start)[0]
 
 
 def _of(columns: Array, gated: Gated) -> Association:
