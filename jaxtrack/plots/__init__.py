@@ -7,12 +7,16 @@ from jaxtrack.plots.motion_elements import coordinate_over_time, error_curves, v
 from jaxtrack.plots.scene import scene
 from jaxtrack.plots.sinusoids import sinusoids
 from jaxtrack.plots.style import style
+from jaxtrack.plots.tracking import errors_over_time, maps, positions_over_time
 
 __all__ = [
     "accumulations",
     "coordinate_over_time",
     "error_curves",
+    "errors_over_time",
+    "maps",
     "meetings",
+    "positions_over_time",
     "run_times",
     "scene",
     "scores",

@@ -9,7 +9,8 @@ from jaxtrack.studies.ccm import STUDY as _CCM
 from jaxtrack.studies.csht import STUDY as _CSHT
 from jaxtrack.studies.nht import STUDY as _NHT
 from jaxtrack.studies.registry import Context, Study
+from jaxtrack.studies.tracking import STUDY as _TRACKING
 
-STUDIES: dict[str, Study] = {study.name: study for study in (_NHT, _CSHT, _CCM)}
+STUDIES: dict[str, Study] = {study.name: study for study in (_NHT, _CSHT, _CCM, _TRACKING)}
 
 __all__ = ["STUDIES", "Context", "Study"]

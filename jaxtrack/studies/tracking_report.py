@@ -1,0 +1,143 @@
+"""The tables and marks of the study `csht_tracking`."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+from rich.table import Table
+
+from jaxtrack.studies import tracking_paper
+from jaxtrack.studies.csht_paper import RATES, SIGMAS_M
+from jaxtrack.studies.csht_report import cell_name
+from jaxtrack.studies.tables import Figure, Mark, Row, grid_table, mean, number, quotient, rate
+from jaxtrack.studies.tracking_trial import FLOOR, TRACKERS
+
+MEASURES = {
+    "cardinality": ("CARDINALITY", "cardinality error"),
+    "localization": ("LOCALIZATION", "localization error"),
+    "distance": ("DISTANCE", "OSPA distance"),
+}
+COMBINED = "combined"
+_JOINT = "hough joint"
+_KALMAN = ("kalman paper", "kalman JPDA")
+
+
+def tables(table: xr.Dataset, variant: str) -> list[Table]:
+    """Return a table a truth and measure: ours, the floor and the paper's figures.
+
+    Args:
+        table: [cell, trial, truth, tracker, look].
+        variant: the model of false alarms.
+    """
+    found = []
+    names = [_name(table, cell) for cell in range(table.sizes["cell"])]
+    for truth in map(str, table.truth.values):
+        for measure, (_, words) in {**MEASURES, COMBINED: ("", "√(card² + loc²)")}.items():
+            lines = []
+            for cell in range(len(names)):
+                ours = [_mean(table, cell, truth, name, measure) for name in (*TRACKERS, FLOOR)]
+                paper = [paper_figure(table, cell, measure, who) for who in ("CSHT", "Kalman")]
+                lines.append([_spread(x) for x in ours] + [number(x) for x in paper])
+            columns = [*TRACKERS, FLOOR, "paper CSHT", "paper Kalman"]
+            title = f"False alarms: {variant}; truth: {truth}; {words} in m, 1 to 100 s"
+            found.append(grid_table(title, names, columns, lines, trials=table.sizes["trial"]))
+    return found
+
+
+def generated(table: xr.Dataset) -> Table:
+    """Return the errors on generated scenes, of births, deaths, crossings and 1 to 8 targets."""
+    lines = [
+        [_spread(_mean(table, 0, "visible", name, measure)) for name in (*TRACKERS, FLOOR)]
+        for measure in MEASURES
+    ]
+    names = [words for _, words in MEASURES.values()]
+    title = f"Generated scenes, {_name(table, 0)}, in m"
+    return grid_table(title, names, [*TRACKERS, FLOOR], lines, trials=table.sizes["trial"])
+
+
+def times(seconds: Mapping[str, float]) -> Table:
+    """Return the time a look beside the paper's."""
+    lines = [[f"{1000 * x:.1f} ms"] for x in seconds.values()]
+    names = list(seconds)
+    for name, printed in tracking_paper.SECONDS_A_LOOK.items():
+        names.append(f"paper, {name}")
+        lines.append([f"{1000 * printed:.1f} ms"])
+    title = "Time a look, compiled, one run at a time; P_M = P_F = .5"
+    return grid_table(title, names, ["time"], lines, trials=1)
+
+
+def marks(literal: xr.Dataset, quiet: np.ndarray) -> list[Row]:
+    """Return every figure that has a mark.
+
+    Args:
+        literal: [cell, trial, truth, tracker, look], the paper's false alarms.
+        quiet: [T] looks outside 10 s after every birth and death.
+    """
+    rows: list[Row] = []
+    at_most = lambda bound: Mark(float(bound), at_least=False)
+    for cell in range(literal.sizes["cell"]):
+        name = f"{_name(literal, cell)}: {_JOINT}"
+        ours = _distance(literal, cell, _JOINT)
+        if float(literal.p_miss[cell]) <= 0.3:
+            paper = paper_figure(literal, cell, "distance", "CSHT")
+            for measure, words in (("distance", "mean OSPA"), (COMBINED, "√(card² + loc²)")):
+                figure = _mean(literal, cell, "visible", _JOINT, measure)
+                rows.append(Row(f"{name}, {words}", figure, number(paper), at_most(paper)))
+        for rival in _KALMAN:
+            less = quotient(ours, _distance(literal, cell, rival))
+            rows.append(Row(f"{name} / {rival}, OSPA", less, "", at_most(1.0)))
+        above = quotient(ours, _distance(literal, cell, FLOOR))
+        rows.append(Row(f"{name} / {FLOOR}, OSPA", above, "", Mark(1.0)))
+    middle = (literal.p_miss == 0.3) & (literal.p_false == 0.3) & (literal.sigma_m == 3.0)
+    cell = int(np.flatnonzero(middle.values)[0])
+    here = literal.isel(cell=cell).sel(tracker=_JOINT)
+    right = (here.cardinality.sel(truth="visible").values[:, quiet] == 0).all(1)
+    name = f"{_name(literal, cell)}: {_JOINT}"
+    share = rate(float(right.sum()), len(right))
+    rows.append(Row(f"{name}, runs of the right number throughout", share, mark=Mark(0.95)))
+    agreed = quotient(here.nees.values.sum(1), here.near.values.sum(1).astype(float))
+    rows.append(Row(f"{name}, NEES", agreed, mark=Mark(3.0)))
+    rows.append(Row(f"{name}, NEES", agreed, mark=at_most(5.0)))
+    return rows
+
+
+def paper_figure(table: xr.Dataset, cell: int, measure: str, who: str) -> float:
+    """Return what the paper prints for a cell; its distance is the combined one."""
+    p_miss, p_false, sigma_m = (float(table[k][cell]) for k in ("p_miss", "p_false", "sigma_m"))
+    field = MEASURES["distance" if measure == COMBINED else measure][0]
+    if sigma_m == 3.0:
+        printed = getattr(tracking_paper, f"{field}_BY_RATES")[who]
+        return float(printed[RATES.index(round(p_miss, 3)), RATES.index(round(p_false, 3))])
+    return float(getattr(tracking_paper, f"{field}_BY_SIGMA")[who][SIGMAS_M.index(sigma_m)])
+
+
+def _mean(table: xr.Dataset, cell: int, truth: str, tracker: str, measure: str) -> Figure:
+    here = table.isel(cell=cell).sel(truth=truth, tracker=tracker)
+    if measure == COMBINED:
+        parts = [here[name].mean("look").values.astype(float) for name in list(MEASURES)[:2]]
+        card, loc = (x.mean() for x in parts)
+        root = float(np.hypot(card, loc))
+        # To first order, which is all that a standard error is.
+        each = (card * parts[0] + loc * parts[1]) / max(root, 1e-12)
+        return mean(root, _error(each), len(each), "m")
+    each = here[measure].mean("look").values.astype(float)
+    return mean(float(each.mean()), _error(each), len(each), "m")
+
+
+def _distance(table: xr.Dataset, cell: int, tracker: str) -> np.ndarray:
+    here = table.distance.isel(cell=cell).sel(truth="visible", tracker=tracker)
+    return here.mean("look").values.astype(float)
+
+
+def _error(each: np.ndarray) -> float:
+    return float(each.std(ddof=1) / np.sqrt(len(each))) if len(each) > 1 else np.inf
+
+
+def _spread(figure: Figure) -> str:
+    half = (figure.upper - figure.lower) / 2 / 1.96
+    return f"{figure.value:.2f}\n± {half:.2f}" if np.isfinite(half) else f"{figure.value:.2f}"
+
+
+def _name(table: xr.Dataset, cell: int) -> str:
+    at = table.isel(cell=cell)
+    return cell_name(float(at.p_miss), float(at.p_false), float(at.sigma_m))
