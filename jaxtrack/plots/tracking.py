@@ -65,14 +65,14 @@ def maps(truth: Truth, tracks: Mapping[str, Any], *, title: str = "") -> Figure:
     Source: clustering-statistic Hough transform (2018), figure 21.
     """
     with style():
-        figure = Figure(figsize=(WIDTH_IN, 4.2), layout="constrained")
+        figure = Figure(figsize=(WIDTH_IN, 3.0), layout="constrained")
         row = figure.subplots(1, len(tracks), sharex=True, sharey=True, squeeze=False)[0]
         state, there = np.asarray(truth.state), np.asarray(truth.mask)
         for axes, (name, (position_m, mask)) in zip(row, tracks.items(), strict=True):
             look, slot, north = _reported(position_m, mask, 0)
             east = np.asarray(position_m)[look, slot, 1]
             colour = np.array(COLOURS[:6])[slot % 6]
-            axes.scatter(east, north, s=3, c=colour, linewidths=0, label="tracks, by slot")
+            axes.scatter(east, north, s=2, c=colour, linewidths=0, label="tracks, by slot")
             for target in range(there.shape[1]):
                 path = state[there[:, target], target]
                 label = "truth" if target == 0 else None

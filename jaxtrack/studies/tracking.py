@@ -165,7 +165,10 @@ def _shown(key: Key, cell: Rates) -> Shown:
     found = run(key)
     return Shown(
         jax.tree.map(np.asarray, visible),
-        {name: (np.asarray(x.mean)[..., :2], np.asarray(x.mask)) for name, x in found.items()},
+        {
+            name: tuple(map(np.asarray, (found[name].mean[..., :2], found[name].mask)))
+            for name in TRACKERS
+        },
     )
 
 

@@ -96,8 +96,8 @@ def marks(literal: xr.Dataset, quiet: np.ndarray) -> list[Row]:
     share = rate(float(right.sum()), len(right))
     rows.append(Row(f"{name}, runs of the right number throughout", share, mark=Mark(0.95)))
     agreed = quotient(here.nees.values.sum(1), here.near.values.sum(1).astype(float))
-    rows.append(Row(f"{name}, NEES", agreed, mark=Mark(3.0)))
-    rows.append(Row(f"{name}, NEES", agreed, mark=at_most(5.0)))
+    rows.append(Row(f"{name}, NEES of four states", agreed, mark=Mark(3.0)))
+    rows.append(Row(f"{name}, NEES, no more than", agreed, mark=at_most(5.0)))
     return rows
 
 
