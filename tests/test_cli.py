@@ -62,6 +62,63 @@ def test_initiate_writes_tracks_table_and_figure(run):
     assert len(figure) > 20_000
 
 
+TWO = """time_s,x_m,y_m
+"""
+for _t in range(12):
+    TWO += f"{_t + 100},{30 * _t + 3 * (_t % 2)},{500 - 20 * _t}\n"
+    TWO += f"{_t + 100},{400 - 9 * _t},{35 * _t}\n"
+    TWO += f"{_t + 100},{(67 * _t) % 400},{(331 * _t) % 500}\n"
+
+
+def test_track_writes_a_row_for_each_track_and_look_and_a_figure(run):
+    pathlib.Path("two.csv").write_text(TWO)
+    options = ("--speed-max-m-s", "60", "--tracker", "optimal", "--p-detect", "0.95")
+    code, out, err = run("track", "two.csv", *options, "--max-tracks", "20", "--figure", "a.png")
+    assert (code, err) == (0, "")
+    rows = rows_of("tracks.csv")
+    last = [row for row in rows if float(row["time_s"]) == 111.0]
+    found = sorted((float(row["x_m"]), float(row["y_m"])) for row in last)
+    np.testing.assert_allclose(found, [(301.0, 385.0), (332.0, 280.0)], atol=8.0)
+    assert {row["stage"] for row in last} == {"confirmed"}
+    assert len({row["identity"] for row in rows}) == 2
+    for word in ("nats confirm a track", "from, s", "looks", "speed,"):
+        assert word in out
+    assert pathlib.Path("a.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_estimate_prints_where_targets_were_are_and_go(run):
+    pathlib.Path("two.csv").write_text(TWO)
+    code, out, err = run("estimate", "two.csv", "--speed-max-m-s", "60", "--method", "sht")
+    assert code == 0
+    assert not err or err.startswith("note: ")
+    assert rows_of("motion_elements.csv")
+    assert "first" in out
+    assert "v x," in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("track", EXAMPLE), "speed-max-m-s"),
+        (("track", EXAMPLE, "--speed-max-m-s", "-1"), "v_max_m_s: got -1"),
+        (("track", "no.csv", "--speed-max-m-s", "9"), "no.csv: No such file"),
+        (("track", EXAMPLE, "--speed-max-m-s", "9", "--out", EXAMPLE), "the file of detections"),
+        (("track", EXAMPLE, "--speed-max-m-s", "9", "--figure", "a.txt"), "--figure: got a.txt"),
+        (("track", EXAMPLE, "--speed-max-m-s", "9", "--seed", "-1"), "--seed: got -1"),
+        (("estimate", EXAMPLE, "--speed-max-m-s", "9", "--sigma-m", "0"), "sigma_m: got 0"),
+        (("estimate", EXAMPLE, "--speed-max-m-s", "9", "--beams", "9"), "column"),
+        (
+            ("track", EXAMPLE, "--speed-max-m-s", "9", "--beams", "9", "--sector-deg", "0"),
+            "--sector-deg: got 0",
+        ),
+    ],
+)
+def test_wrong_options_of_track_and_estimate_are_one_line(run, arguments, word):
+    code, out, err = run(*arguments)
+    assert code == 2
+    assert word in out + err
+
+
 @pytest.mark.slow
 def test_exactly_three_tracks_at_a_rare_false_track(run):
     code, _, _ = run("initiate", EXAMPLE, "--sigma-m", "50", "--false-per-run", "0.05")

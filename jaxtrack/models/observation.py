@@ -181,7 +181,8 @@ def position_information(state: Array, scans: Scan, params: PositionSensor) -> A
     states = propagate(jnp.broadcast_to(state, (time.shape[0], 4)), time)
     claimed = jax.vmap(lambda x, scan: position_responsibility(x, scan, params))(states, scans)
     one = jax.vmap(lambda scan: _detections(scan, params))(scans)
-    inverse = jnp.stack([one.yy_m2, -one.xy_m2, -one.xy_m2, one.xx_m2]) / one.determinant
+    entries = (one.yy_m2, -one.xy_m2, -one.xy_m2, one.xx_m2)
+    inverse = jnp.stack([entry / one.determinant for entry in entries])
     dt = time[:, None] + one.delay_s
     powers = jnp.stack([jnp.ones_like(dt), dt, dt, dt**2])
     both = jnp.einsum("pkn,ikn,kn->pi", powers, inverse, claimed).reshape(2, 2, 2, 2)

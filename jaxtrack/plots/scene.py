@@ -16,6 +16,7 @@ from jaxtrack.types import Scan, Tracks, Truth
 
 _NAMES = {"x_y": ("x", "y"), "north_east": ("east", "north")}
 _KILOMETRES_FROM = 2000.0  # of the larger side, metres
+_NAMED = 10  # tracks that a legend names
 
 
 def scene(
@@ -32,7 +33,8 @@ def scene(
     Args:
         scans: K looks stacked.
         truth: T times of the targets.
-        tracks: M tracks; an arrow shows where each is heading.
+        tracks: M tracks, an arrow shows where each is heading; or tables of them stacked [T], each
+            identity a line.
         smoothed_m: [M, K, 2] where the tracks were at every look; None: on a straight line.
         title: of the figure.
         axes: `"x_y"` or `"north_east"` (x north is drawn upwards, y east to the right).
@@ -61,7 +63,9 @@ def scene(
             shown.append(_detections(figure, plane, scans, place))
         if truth is not None:
             shown.append(_truth(plane, truth, place))
-        if tracks is not None:
+        if tracks is not None and np.ndim(tracks.mask) == 2:
+            shown.append(_lives(plane, tracks, place))
+        elif tracks is not None:
             shown.append(_tracks(plane, tracks, _paths_m(tracks, scans, truth, smoothed_m), place))
         everything = np.concatenate([np.zeros((0, 2)), *shown])
         _frame(figure, plane, everything)
@@ -127,6 +131,18 @@ def _tracks(plane: Axes, tracks: Tracks, path_m: np.ndarray, place: Any) -> np.n
         plane.annotate("", here + ahead, here, arrowprops=arrow, zorder=5)
         ends += [path, here[None], (here + ahead)[None]]
     return np.concatenate(ends)
+
+
+def _lives(plane: Axes, tracks: Tracks, place: Any) -> np.ndarray:
+    mask, identity = np.asarray(tracks.mask), np.asarray(tracks.identity)
+    position = place(tracks.mean)
+    for n, number in enumerate(np.unique(identity[mask])):
+        path = position[mask & (identity == number)]
+        label = f"track {number}" if n < _NAMED else None
+        colour = COLOURS[n % len(COLOURS)]
+        plane.plot(*path.T, color=colour, lw=1.8, alpha=0.85, zorder=4, label=label)
+        plane.plot(*path[-1], "o", color=colour, ms=4, zorder=5)
+    return position[mask]
 
 
 def _duration_s(path_m: np.ndarray, velocity_m_s: np.ndarray) -> float:

@@ -26,6 +26,7 @@ from jaxtrack.sensors.scenes import (
 from jaxtrack.sensors.sonar import (
     FALSE_ALARMS,
     in_sight,
+    in_view,
     observe_beams,
     observe_known_beams,
     scan_of_beams,
@@ -57,6 +58,7 @@ __all__ = [
     "crossing_targets",
     "echo_amplitudes",
     "in_sight",
+    "in_view",
     "meeting_targets",
     "motion_elements_scene",
     "move",

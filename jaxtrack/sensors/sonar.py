@@ -177,6 +177,24 @@ def in_sight(truth: Truth, pose: Pose, sonar: BeamSonar) -> Truth:
     return truth._replace(mask=_sight(truth, pose, sonar)[0])
 
 
+def in_view(position_m: Array, pose: Pose, sonar: BeamSonar) -> Array:
+    """Return which places are within the scope and the sector of a sonar, [...].
+
+    Args:
+        position_m: [..., 2] in the earth frame.
+        pose: the carrier's, at one look.
+        sonar: whose scope and sector count.
+
+    Example:
+        >>> pose = Pose(jnp.zeros(2), jnp.array(0.0))
+        >>> print(in_view(jnp.array([[80.0, 1.0], [80.0, 90.0]]), pose, BeamSonar()))
+        [ True False]
+    """
+    dtype = position_m.dtype
+    mount_m = jnp.asarray(sonar.mount_m, dtype)
+    return _inside(*earth_to_polar(position_m, pose, mount_m), sonar)
+
+
 def scan_of_beams(scan: BeamScan, sonar: BeamSonar) -> Scan:
     """Return one look's detections as positions in the earth frame, with covariances.
 
@@ -234,7 +252,10 @@ def _sight(truth: Truth, pose: Pose, sonar: BeamSonar) -> tuple[Array, Array, Ar
     position_m = jnp.where(truth.mask[..., None], truth.state[..., :2], 0.0)
     polar = jax.vmap(earth_to_polar, (0, 0, None))
     range_m, bearing_rad = polar(position_m, pose, jnp.asarray(sonar.mount_m, dtype))
-    half = jnp.asarray(sonar.sector_rad, dtype) / 2
+    return truth.mask & _inside(range_m, bearing_rad, sonar), range_m, bearing_rad
+
+
+def _inside(range_m: Array, bearing_rad: Array, sonar: BeamSonar) -> Array:
+    half = jnp.asarray(sonar.sector_rad, range_m.dtype) / 2
     inside = (bearing_rad >= -half) & (bearing_rad < half)
-    inside &= range_m <= jnp.asarray(sonar.range_max_m, dtype)
-    return truth.mask & inside, range_m, bearing_rad
+    return inside & (range_m <= jnp.asarray(sonar.range_max_m, range_m.dtype))

@@ -166,7 +166,7 @@ def _shown(key: Key, cell: Rates) -> Shown:
     return Shown(
         jax.tree.map(np.asarray, visible),
         {
-            name: tuple(map(np.asarray, (found[name].mean[..., :2], found[name].mask)))
+            name: (np.asarray(found[name].mean)[..., :2], np.asarray(found[name].mask))
             for name in TRACKERS
         },
     )

@@ -19,6 +19,7 @@ from jaxtrack.sensors import (
     SonarScene,
     SonarSceneLimits,
     in_sight,
+    in_view,
     observe_known_beams,
     random_sonar_scene,
     scan_of_beams,
@@ -143,7 +144,7 @@ def track(
     tracker, looks = _tracker(name, scans, sonar, false_alarms, targets)
     _, info = jax.lax.scan(tracker.step, tracker.init(jax.random.key(0)), looks)
     tracks: Tracks = info.tracks
-    seen = jax.vmap(lambda mean, pose: _seen(mean, pose, sonar))(tracks.mean, scans.pose)
+    seen = jax.vmap(lambda mean, pose: in_view(mean[:, :2], pose, sonar))(tracks.mean, scans.pose)
     mask = (tracks.stage >= Stage.CONFIRMED) & seen
     crowded = info.info.overflow if name == "hough joint" else jnp.zeros(mask.shape[0], bool)
     return Found(tracks.mean, tracks.covariance, mask), crowded
@@ -161,7 +162,7 @@ def _tracker(
         sizes = joint.JointSizes(
             targets, _PAIRS[false_alarms], 1024, gap=3, survivors=4096, samples=256
         )
-        seen = lambda mean, scan: _seen(mean[None], scan.pose, sonar)[0].astype(mean.dtype)
+        seen = lambda mean, scan: in_view(mean[:2], scan.pose, sonar).astype(mean.dtype)
         tracker = hough_tracker(
             lambda looks: joint.estimate(looks, params, sizes=sizes, observation=BEAMS),
             HoughTrackerParams(lifecycle=LifecycleParams(1, CONFIRM, 3)),
@@ -206,7 +207,7 @@ def _kalman_jpda(detect: Array, clutter: Array, sonar: BeamSonar) -> Estimator:
     )
 
     def tracker(pose: Pose) -> Estimator:
-        seen = lambda mean, _: _seen(mean[None], pose, sonar)[0].astype(mean.dtype)
+        seen = lambda mean, _: in_view(mean[:2], pose, sonar).astype(mean.dtype)
         return kalman_tracker(
             params,
             max_tracks=_KALMAN_SLOTS,
@@ -221,13 +222,6 @@ def _kalman_jpda(detect: Array, clutter: Array, sonar: BeamSonar) -> Estimator:
 
     nowhere = Pose(jnp.zeros(2, detect.dtype), jnp.zeros((), detect.dtype))
     return Estimator(tracker(nowhere).init, step)
-
-
-def _seen(mean: Array, pose: Pose, sonar: BeamSonar) -> Array:
-    """Return which states [M, 4] the sonar can see from a pose, [M]."""
-    one = jnp.ones((1, mean.shape[0]), bool)
-    here = Truth(jnp.zeros(1, mean.dtype), mean[None], one)
-    return in_sight(here, jax.tree.map(lambda x: x[None], pose), sonar).mask[0]
 
 
 def _floor(

@@ -22,11 +22,15 @@ from jaxtrack.tracking.lifecycle import (
     empty_table,
     grade,
 )
+from jaxtrack.tracking.motion_elements import ESTIMATORS, MotionElements, motion_elements
 from jaxtrack.tracking.sliding import SlidingInfo, sliding
+from jaxtrack.tracking.track import TRACKERS, TrackInfo, track
 from jaxtrack.tracking.window import METHODS, WindowInfo, initiate_window
 
 __all__ = [
+    "ESTIMATORS",
     "METHODS",
+    "TRACKERS",
     "Births",
     "HoughTrackerInfo",
     "HoughTrackerParams",
@@ -38,7 +42,9 @@ __all__ = [
     "KalmanTrackerParams",
     "KalmanTrackerState",
     "LifecycleParams",
+    "MotionElements",
     "SlidingInfo",
+    "TrackInfo",
     "TrackTable",
     "WindowInfo",
     "admit",
@@ -49,5 +55,7 @@ __all__ = [
     "initiate_window",
     "kalman_paper",
     "kalman_tracker",
+    "motion_elements",
     "sliding",
+    "track",
 ]

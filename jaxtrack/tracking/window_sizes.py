@@ -78,17 +78,17 @@ def choose_sizes(
             if pairs and 3 * (pairs + more) // 2 > MOST_HYPOTHESES:
                 break
             gap, pairs = gap - 1, pairs + more
-        hypotheses, notes = _fitting(pairs, 1024, MOST_HYPOTHESES, "pairs of distant looks")
+        hypotheses, notes = fitting(pairs, 1024, MOST_HYPOTHESES, "pairs of distant looks")
         return JointSizes(tracks=tracks, hypotheses=hypotheses, gap=gap), notes
     pairs, predecessors = 1, 1
     notes: tuple[str, ...] = ()
     if method != "standard":
         tables = [_admissible(scans, k, k + 1, gate) for k in range(looks - 1)]
         most = max(int(table.sum()) for table in tables)
-        pairs, notes = _fitting(most, 256, MOST_PAIRS, "pairs of successive looks")
+        pairs, notes = fitting(most, 256, MOST_PAIRS, "pairs of successive looks")
     if method == "neutrosophic":
         most = max(int(table.sum(axis=0).max()) for table in tables)
-        predecessors, more = _fitting(most, 16, MOST_PREDECESSORS, "pairs ending in a detection")
+        predecessors, more = fitting(most, 16, MOST_PREDECESSORS, "pairs ending in a detection")
         notes += more
     # A detection's noise moves its curve by sigma; the line of two near detections is much poorer.
     cell_m, cell_rad, smooth = _CELLS["standard" if method == "standard" else "pairs"]
@@ -108,7 +108,27 @@ def choose_sizes(
     return sizes, notes
 
 
-def _fitting(needed: int, least: int, most: int, what: str) -> tuple[int, tuple[str, ...]]:
+def pairs_of(scans: Scan, speed: SpeedGate, *, gap: int) -> int:
+    """Return how many pairs of detections at least `gap` looks apart one target could have caused.
+
+    Example:
+        >>> scans = Scan(np.arange(3.0), np.ones(3, bool), np.zeros((3, 1, 2)) +
+        ...              np.arange(0.0, 600.0, 200.0)[:, None, None], np.ones((3, 1), bool))
+        >>> pairs_of(scans, SpeedGate(100.0, 400.0), gap=1)
+        3
+    """
+    looks = int(np.shape(scans.time_s)[0])
+    couples = [(k, m) for k in range(looks) for m in range(k + gap, looks)]
+    return sum(int(_admissible(scans, k, m, speed).sum()) for k, m in couples)
+
+
+def fitting(needed: int, least: int, most: int, what: str) -> tuple[int, tuple[str, ...]]:
+    """Return the size of a table for half as many again, and a sentence where it holds too few.
+
+    Example:
+        >>> fitting(1000, 256, 4096, "pairs"), fitting(5000, 256, 4096, "pairs")
+        ((2048, ()), (4096, ('there are 5000 pairs, of which 4096 fit',)))
+    """
     size = 1 << (max(needed * 3 // 2, least) - 1).bit_length()
     if size <= most:
         return size, ()

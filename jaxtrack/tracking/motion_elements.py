@@ -1,0 +1,152 @@
+"""From one window of a recording to its targets' motion elements: where they were, are and go."""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxtrack.hough import clustering_statistic, joint
+from jaxtrack.hough.pairs import SpeedGate
+from jaxtrack.hough.slope_intercept import LineGrid, LineSizes
+from jaxtrack.models import BeamSonar
+from jaxtrack.models.motion import look_times, propagate
+from jaxtrack.numerics.checks import check_choice, check_size
+from jaxtrack.tracking.prepared import Prepared, confirming_evidence, joint_sizes, prepare
+from jaxtrack.types import Array, BeamScan, Scan, Tracks
+
+ESTIMATORS = ("joint", "csht", "sht")
+
+# The vote's own defaults, for windows of 9.5 s and a noise of 3 m, in units of window and noise.
+_CELL_SIGMAS = 2.2  # width of a cell of positions
+_FINER = 0.3  # of a cell: what one step of velocity moves a line over the whole window
+_USUAL_S = 9.5
+_MOST_CELLS = 256
+
+
+class MotionElements(NamedTuple):
+    """The targets of a window; the tables have M places."""
+
+    tracks: Tracks  # at the window's last look
+    initial: Array  # [M, 4] x, y, vx, vy at its first
+    gate: float  # that a joint track's evidence had to reach; nan of the others
+    notes: tuple[str, ...]  # what did not fit, in sentences
+
+
+def motion_elements(
+    scans: Scan | BeamScan,
+    *,
+    method: str = "joint",
+    sonar: BeamSonar | None = None,
+    speed: SpeedGate = SpeedGate(),  # noqa: B008 - an immutable tuple
+    sigma_m: float = 10.0,
+    p_detect: float = 0.9,
+    false_per_window: float = 0.01,
+    max_tracks: int = 8,
+) -> MotionElements:
+    """Return initial and current positions and velocities of the targets in a recording's looks.
+
+    Not for `jit`: array sizes, grids and the gate depend on the values of the data.
+
+    Args:
+        scans: K looks stacked, as a `Recording` holds them; all are one window.
+        method: `"joint"`, the joint vote; `"csht"`, the clustering-statistic Hough transform, or
+            `"sht"`, all its cells above the threshold. The two see positions, in cells of 2.2 σ.
+        sonar: of looks at beams: its rates, noise and geometry, in place of `sigma_m` and
+            `p_detect`.
+        speed: slowest and fastest target, m/s; of the votes in cells only the fastest counts.
+        sigma_m: noise of a detection, metres.
+        p_detect: probability that a target is detected in a look, in (0, 1).
+        false_per_window: wanted mean number of false tracks, at most; of the joint vote.
+        max_tracks: that are looked for.
+
+    Raises:
+        ValueError: an option is out of range, a position is not finite, times run back, or there
+            are fewer than two looks.
+
+    Example:
+        >>> t = np.arange(8.0)
+        >>> at = np.stack([30 * t, 500 - 20 * t], axis=-1)[:, None]
+        >>> scans = Scan(t, np.ones(8, bool), at, np.ones((8, 1), bool))
+        >>> found = motion_elements(scans, speed=SpeedGate(0.0, 60.0), sigma_m=5.0, max_tracks=2)
+        >>> print(found.initial[0].round(), found.tracks.mean[0].round())
+        [  0. 500.  30. -20.] [210. 360.  30. -20.]
+    """
+    check_choice("method", method, ESTIMATORS)
+    check_size("max_tracks", max_tracks)
+    ready = prepare(
+        scans,
+        sonar,
+        speed,
+        sigma_m=sigma_m,
+        p_detect=p_detect,
+        false_per_window=false_per_window,
+    )
+    valid = np.flatnonzero(np.asarray(ready.looks.valid))
+    check_size("number of valid looks", len(valid), at_least=2)
+    if method != "joint":
+        return _by_cells(ready, method, speed, sonar, sigma_m, max_tracks)
+    window = len(valid)
+    gate = confirming_evidence(ready, false_per_window)
+    sizes, notes = joint_sizes(ready.positions, speed, window=window, tracks=max_tracks)
+    looks = jax.tree.map(lambda x: x[valid], ready.looks)
+    voted = joint.JointParams(ready.sensor, speed, gate)
+    run = jax.jit(
+        lambda looks: joint.estimate(looks, voted, sizes=sizes, observation=ready.observation)
+    )
+    tracks, _ = run(looks)
+    start_s, _ = look_times(looks)
+    return MotionElements(tracks, propagate(tracks.mean, start_s[0]), gate, notes)
+
+
+def _by_cells(
+    ready: Prepared,
+    method: str,
+    speed: SpeedGate,
+    sonar: BeamSonar | None,
+    sigma_m: float,
+    max_tracks: int,
+) -> MotionElements:
+    """Return what the vote in cells of velocity and initial position finds."""
+    scans = ready.positions._replace(covariance_m2=None)
+    sigma_m = sigma_m if sonar is None else float(sonar.sigma_m)
+    counts = np.asarray(scans.mask) & np.asarray(scans.valid)[:, None]
+    places = np.asarray(scans.position_m, np.float64)[counts]
+    times = np.asarray(scans.time_s, np.float64)[np.asarray(scans.valid)]
+    lasts_s, fastest = float(np.ptp(times)), float(speed.v_max_m_s)
+    if len(places) == 0 or lasts_s == 0.0:
+        places, lasts_s = np.zeros((1, 2)), max(lasts_s, 1.0)
+    reach_m = fastest * lasts_s
+    cell_m, notes = _CELL_SIGMAS * sigma_m, ()
+    low, high = places.min(0) - reach_m, places.max(0) + reach_m
+    cells = math.ceil(float((high - low).max()) / cell_m)
+    if cells > _MOST_CELLS:
+        cells, cell_m = _MOST_CELLS, float((high - low).max()) / _MOST_CELLS
+        notes = (f"the field is wide: cells are {cell_m:.0f} m instead of 2.2 sigma_m",)
+    step = _FINER * cell_m / lasts_s
+    half = min(math.ceil(fastest / step), _MOST_CELLS)
+    step = fastest / half
+    grids = [LineGrid(-fastest, step, float(x), cell_m) for x in low]
+    usual, slower = clustering_statistic.ClusteringParams(), lasts_s / _USUAL_S
+    params = usual._replace(
+        x=grids[0],
+        y=grids[1],
+        velocity_scale_s=float(usual.velocity_scale_s) * slower,
+        cluster_time_s=float(usual.cluster_time_s) * slower,
+        sigma_m=sigma_m,
+    )
+    sizes = clustering_statistic.ClusteringSizes(
+        lines=LineSizes(velocities=2 * half + 1, positions=cells),
+        patterns=max_tracks,
+        start=min(max_tracks, 3),
+    )
+    find = (
+        clustering_statistic.estimate
+        if method == "csht"
+        else clustering_statistic.threshold_estimate
+    )
+    tracks, info = jax.jit(lambda scans: find(scans, params, sizes=sizes))(scans)
+    if bool(jnp.any(info.overflow)):
+        notes += ("more cells passed the threshold than fit: targets may be missing",)
+    return MotionElements(tracks, info.initial, math.nan, notes)
