@@ -2,6 +2,7 @@
 
 from jaxtrack.plots.accumulations import accumulations
 from jaxtrack.plots.comparisons import run_times, scores
+from jaxtrack.plots.film import film
 from jaxtrack.plots.meetings import meetings
 from jaxtrack.plots.motion_elements import coordinate_over_time, error_curves, vote_plane
 from jaxtrack.plots.scene import scene
@@ -14,6 +15,7 @@ __all__ = [
     "coordinate_over_time",
     "error_curves",
     "errors_over_time",
+    "film",
     "maps",
     "meetings",
     "positions_over_time",
