@@ -5,6 +5,8 @@ BIN := .venv/bin
 VENV := .venv/.made-by-$(notdir $(PYTHON))
 RUN := $(VENV)-run
 DEV := $(VENV)-dev
+# Most of the time of the tests goes into compiling: quick code does for the quick tests.
+QUICKLY := XLA_FLAGS=--xla_backend_optimization_level=0
 # Examples run operation by operation: what one has compiled the next ones read.
 CACHED := JAX_COMPILATION_CACHE_DIR=.jax_cache JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0 \
 	JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES=-1
@@ -17,12 +19,12 @@ reproduce: $(RUN) ## the main job: every study, reduced; tables and figures unde
 reproduce-full: $(RUN) ## the stated numbers of trials; says beforehand how long it takes
 	$(BIN)/jaxtrack reproduce --full
 
-test: $(DEV) ## everything but the slow tests
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow" tests
-	$(CACHED) $(BIN)/python -m pytest -n 2 --dist worksteal --doctest-modules jaxtrack
+test: $(DEV) ## everything but the slow tests, on code that is compiled quickly
+	$(QUICKLY) $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow" tests
+	$(QUICKLY) $(CACHED) $(BIN)/python -m pytest -n 2 --dist worksteal --doctest-modules jaxtrack
 
-test-slow: $(DEV) ## the long ones: marks on rates, memory
-	$(BIN)/python -m pytest -m slow tests
+test-slow: $(DEV) ## all tests, the long ones too (marks on rates, memory), on code as users run it
+	$(BIN)/python -m pytest -n 2 --dist worksteal tests
 
 lint: $(DEV) ## style, types, layers, notebooks without outputs
 	$(BIN)/ruff check .

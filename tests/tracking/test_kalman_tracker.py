@@ -281,7 +281,7 @@ def test_a_scans_own_covariance_and_weight_count_and_a_new_track_starts_with_the
 
 def test_precision_is_that_of_the_parameters_whatever_the_scan_has():
     single = jax.tree.map(lambda x: x.astype(np.float32) if x.dtype == float else x, scene(0))
-    for name in ("greedy", "jpda", "pmht"):
+    for name in ("greedy", "jpda"):
         tracker = kalman_tracker(PARAMS, max_tracks=SLOTS, associator=name)
         one = jax.tree.map(lambda x: x[0], single)
         state, _ = tracker.step(tracker.init(jax.random.key(0)), one)
