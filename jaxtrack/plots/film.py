@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from jaxtrack.plots.style import COLOURS, INK, dress, style
 from jaxtrack.types import Scan, Stage, Tracks, Truth
 
+_MARGIN_M = 1.0
 _TAIL = 20  # looks of detections and of tracks that are still shown
 
 
@@ -44,7 +45,7 @@ def film(
         figure = Figure(figsize=(5.2, 5.2), layout="constrained")
         FigureCanvasAgg(figure)
         axes = figure.add_subplot()
-    low, high = everything.min(0), everything.max(0)
+    low, high = everything.min(0) - _MARGIN_M, everything.max(0) + _MARGIN_M
 
     def draw(look: int) -> list[Any]:
         axes.clear()

@@ -247,9 +247,9 @@ STUDY = Study(
     title="Clustering-statistic Hough transform: motion elements of several targets from a sonar",
     source="Yan et al., Clustering Statistic Hough Transform Based Estimation Method for Motion "
     "Elements of Multiple Underwater Targets, IEEE Access, 2018",
-    trials_short=20,
+    trials_short=5,
     trials_full=1200,
-    seconds_short=120.0,
+    seconds_short=80.0,
     seconds_full=3000.0,
     run=run,
 )

@@ -197,9 +197,9 @@ STUDY = Study(
     title="Neutrosophic Hough transform: crossing targets in noise and clutter, real radar data",
     source="Fan et al., Neutrosophic Hough Transform-Based Track Initiation Method for Multiple "
     "Target Tracking, IEEE Access, 2018",
-    trials_short=50,
+    trials_short=20,
     trials_full=2000,
-    seconds_short=170.0,
+    seconds_short=120.0,
     seconds_full=3300.0,
     run=run,
 )

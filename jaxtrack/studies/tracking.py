@@ -38,7 +38,7 @@ from jaxtrack.studies.tracking_trial import (
 from jaxtrack.types import Key
 
 VARIANTS = {"literal": "per_beam", "one a scan": "per_scan"}
-SMOKE_CELLS = (Rates(0.1, 0.1, 3.0), Rates(0.3, 0.3, 3.0), Rates(0.5, 0.5, 3.0))
+SMOKE_CELLS = (Rates(0.3, 0.3, 3.0), Rates(0.5, 0.5, 3.0))
 _TABLE_7, _GENERATED, _TIMED = range(3)  # streams of random keys
 
 

@@ -13,7 +13,13 @@ from jaxtrack.hough.slope_intercept import LineGrid, LineSizes
 from jaxtrack.models import BeamSonar
 from jaxtrack.models.motion import look_times, propagate
 from jaxtrack.numerics.checks import check_choice, check_size
-from jaxtrack.tracking.prepared import Prepared, confirming_evidence, joint_sizes, prepare
+from jaxtrack.tracking.prepared import (
+    MOST_TRACKS,
+    Prepared,
+    confirming_evidence,
+    joint_sizes,
+    prepare,
+)
 from jaxtrack.types import Array, BeamScan, Scan, Tracks
 
 ESTIMATORS = ("joint", "csht", "sht")
@@ -74,7 +80,8 @@ def motion_elements(
         [  0. 500.  30. -20.] [210. 360.  30. -20.]
     """
     check_choice("method", method, ESTIMATORS)
-    check_size("max_tracks", max_tracks)
+    if check_size("max_tracks", max_tracks) > MOST_TRACKS:
+        raise ValueError(f"max_tracks: got {max_tracks}, want at most {MOST_TRACKS}")
     ready = prepare(
         scans,
         sonar,

@@ -21,6 +21,8 @@ from jaxtrack.sensors.sonar import scan_of_beams
 from jaxtrack.tracking.window_sizes import MOST_HYPOTHESES, Field, field_of, fitting, pairs_of
 from jaxtrack.types import BeamScan, Scan
 
+MOST_TRACKS = 1000  # that can be asked for
+
 _LEAST_CLUTTER_PER_M2 = 1e-12
 
 

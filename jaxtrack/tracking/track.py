@@ -21,7 +21,13 @@ from jaxtrack.sensors.sonar import in_view
 from jaxtrack.tracking.hough_tracker import HoughTrackerParams, hough_tracker
 from jaxtrack.tracking.kalman_tracker import KalmanTrackerParams, kalman_tracker
 from jaxtrack.tracking.lifecycle import LifecycleParams
-from jaxtrack.tracking.prepared import Prepared, confirming_evidence, joint_sizes, prepare
+from jaxtrack.tracking.prepared import (
+    MOST_TRACKS,
+    Prepared,
+    confirming_evidence,
+    joint_sizes,
+    prepare,
+)
 from jaxtrack.types import Array, BeamScan, Estimator, Key, Pose, Scan, Stage, Tracks
 
 TRACKERS = ("joint", *ASSOCIATORS)
@@ -97,10 +103,10 @@ def track(
     want = "an acceleration of at least 0 m/s²"
     check_known("sigma_a_m_s2", sigma_a_m_s2, lambda x: (x >= 0) & np.isfinite(x), want)
     check_size("window", window, at_least=3)
-    check_size("max_tracks", max_tracks)
-    if tracker == "jpda" and max_tracks > MAX_TRACKS:
-        want = f"at most {MAX_TRACKS} for jpda; belief_propagation takes more"
-        raise ValueError(f"max_tracks: got {max_tracks}, want {want}")
+    most = MAX_TRACKS if tracker == "jpda" else MOST_TRACKS
+    if check_size("max_tracks", max_tracks) > most:
+        why = "; belief_propagation takes more" if tracker == "jpda" else ""
+        raise ValueError(f"max_tracks: got {max_tracks}, want at most {most}{why}")
     ready = prepare(
         scans,
         sonar,
