@@ -86,6 +86,30 @@ def test_track_writes_a_row_for_each_track_and_look_and_a_figure(run):
     assert pathlib.Path("a.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_sonars_beams_are_read_followed_and_drawn(run):
+    rows = ["time_s,beam,range_m,heading_deg,x_m,y_m"]
+    for look in range(10):
+        # A target that stands 60 m ahead of a vehicle under way, on the edge of two beams.
+        rows.append(f"{0.5 * look},{15 + look % 2},{60 - 0.5 * look},0,{500000 + 0.5 * look},0")
+        rows.append(f"{0.5 * look},{3 * look % 29},{20 + 11 * look},0,{500000 + 0.5 * look},0")
+    pathlib.Path("beams.csv").write_text("\n".join(rows))
+    options = ("--beams", "32", "--speed-max-m-s", "4", "--p-detect", "0.95", "--sigma-m", "2")
+    code, out, _ = run("track", "beams.csv", *options, "--tracker", "greedy", "--figure", "b.svg")
+    assert code == 0
+    last = [row for row in rows_of("tracks.csv") if float(row["time_s"]) == 4.5]
+    assert abs(float(last[0]["north_m"]) - 500060.0) < 6.0
+    assert "500060" in out or "50005" in out or "50006" in out
+    assert pathlib.Path("b.svg").read_text().startswith("<?xml")
+    code, _, err = run("estimate", "beams.csv", *options, "--method", "sht", "--figure", "b.csv")
+    assert (code, "want a name that ends in" in err) == (2, True)
+
+
+def test_one_file_is_not_written_over_another(run):
+    wrong = ("--out", "a.png", "--figure", "a.png")
+    code, _, err = run("track", EXAMPLE, "--speed-max-m-s", "9", *wrong)
+    assert (code, "--figure: got a.png, which is another" in err) == (2, True)
+
+
 def test_estimate_prints_where_targets_were_are_and_go(run):
     pathlib.Path("two.csv").write_text(TWO)
     code, out, err = run("estimate", "two.csv", "--speed-max-m-s", "60", "--method", "sht")

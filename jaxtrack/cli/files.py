@@ -220,7 +220,7 @@ def track(
         sigma_a_m_s2: acceleration of targets, each coordinate, m/s².
         p_detect: probability that a target is detected in a look.
         false_per_window: mean number of false tracks in a window, at most.
-        window: looks that joint looks at.
+        window: looks that joint looks at, and those that false-per-window counts.
         bearing: how bearings in the file are counted, degrees.
         beams: the file is that of a multi-beam sonar of so many beams.
         sector_deg: of all its beams together, degrees.
@@ -282,8 +282,10 @@ def _wrong_outputs(file: pathlib.Path, out: pathlib.Path, figure: pathlib.Path |
             return f"{path}: there is no folder {path.parent}"
         if path is not None and path.is_dir():
             return f"{path}: got a folder, want the name of a file"
-    if out.exists() and file.exists() and out.samefile(file):
+    if out.resolve() == file.resolve():
         return f"--out: got {out}, which is the file of detections itself"
+    if figure is not None and figure.resolve() in (out.resolve(), file.resolve()):
+        return f"--figure: got {figure}, which is another of the files"
     return ""
 
 

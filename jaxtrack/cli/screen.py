@@ -129,13 +129,13 @@ def print_elements(console: "Console", recording: "Recording", found: "MotionEle
     table = Table(title="targets", title_justify="left", box=None, pad_edge=False)
     headings = (f"first\n{x}, m", f"first\n{y}, m", f"last\n{x}, m", f"last\n{y}, m")
     for heading in ("target", *headings, f"v {x},\nm/s", f"v {y},\nm/s", "sigma, m", "score"):
-        table.add_column(heading, justify="right", no_wrap=True)
+        table.add_column(heading, justify="right", overflow="fold")
     for slot in live:
         first = np.asarray(found.initial[slot], np.float64)[:2] + recording.origin_m
         mean = np.asarray(found.tracks.mean[slot], np.float64)
         last = mean[:2] + recording.origin_m
         variance = np.diagonal(np.asarray(found.tracks.covariance[slot], np.float64))[:2]
-        cells = [f"{value:.1f}" for value in (*first, *last)] + [f"{v:.2f}" for v in mean[2:4]]
+        cells = [_place(value) for value in (*first, *last)] + [f"{v:.2f}" for v in mean[2:4]]
         sigma = ", ".join(f"{s:.1f}" for s in np.sqrt(variance))
         score = f"{float(found.tracks.log_score[slot]):.2f}"
         table.add_row(f"{int(found.tracks.identity[slot])}", *cells, sigma, score)
@@ -163,7 +163,7 @@ def print_lives(
     table = Table(title="tracks", title_justify="left", box=None, pad_edge=False)
     headings = ("from, s", "to, s", "looks", f"last\n{x}, m", f"last\n{y}, m", "speed,\nm/s")
     for heading in ("track", *headings):
-        table.add_column(heading, justify="right", no_wrap=True)
+        table.add_column(heading, justify="right", overflow="fold")
     time_s = np.asarray(tracks.time_s, np.float64) + recording.epoch_s
     for number in np.unique(identity[mask]):
         looks, slots = np.nonzero(mask & (identity == number))
@@ -173,10 +173,15 @@ def print_lives(
             f"{number}",
             *(f"{time_s[look]:.1f}" for look in (looks[0], looks[-1])),
             f"{len(looks)}",
-            *(f"{value:.1f}" for value in last),
+            *map(_place, last),
             f"{math.hypot(*mean[2:4]):.1f}",
         )
     console.print(table)
+
+
+def _place(value: float) -> str:
+    """Return a coordinate: of far origins a decimal would only make the table too wide."""
+    return f"{value:.1f}" if abs(value) < 1e5 else f"{value:.0f}"
 
 
 def draw(

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from jaxtrack.types import Array, BeamScan, Scan
+from jaxtrack.types import Array, BeamScan, Scan, ScanT
 
 
 def check_array(name: str, value: Any, *, shape: tuple[int | str, ...] | None = None) -> None:
@@ -185,11 +185,11 @@ def check_scans(scans: Scan) -> Scan:
     return sound(scans)
 
 
-def sound(scan: Scan) -> Scan:
+def sound(scan: ScanT) -> ScanT:
     """Return looks, one or stacked, in which only detections count that are numbers throughout.
 
-    A look without a finite time is none, a detection without a finite place, covariance, weight or
-    delay is none.
+    A look without a finite time, or pose, is none; a detection without a finite place or range,
+    covariance, weight or delay is none. Looks of other kinds are returned as they are.
 
     Example:
         >>> position = jnp.array([[0.0, jnp.nan], [1.0, 1.0]])
@@ -197,6 +197,10 @@ def sound(scan: Scan) -> Scan:
         >>> print(sound(scan).mask)
         [False  True]
     """
+    if isinstance(scan, BeamScan):
+        return _sound_beams(scan)
+    if not isinstance(scan, Scan):
+        return scan
     mask = scan.mask & jnp.isfinite(scan.position_m).all(-1)
     if scan.covariance_m2 is not None:
         mask = mask & jnp.isfinite(scan.covariance_m2).all((-1, -2))
@@ -204,6 +208,15 @@ def sound(scan: Scan) -> Scan:
         if field is not None:
             mask = mask & jnp.isfinite(field)
     return scan._replace(valid=scan.valid & jnp.isfinite(scan.time_s), mask=mask)
+
+
+def _sound_beams(scan: BeamScan) -> BeamScan:
+    pose = scan.pose
+    at = jnp.isfinite(pose.position_m).all(-1) & jnp.isfinite(pose.heading_rad)
+    mask = scan.mask & jnp.isfinite(scan.range_m)
+    if scan.weight is not None:
+        mask = mask & jnp.isfinite(scan.weight)
+    return scan._replace(valid=scan.valid & jnp.isfinite(scan.time_s) & at, mask=mask)
 
 
 def check_beam_scans(scans: BeamScan) -> BeamScan:
@@ -227,11 +240,7 @@ def check_beam_scans(scans: BeamScan) -> BeamScan:
     pose, looks = scans.pose, jnp.shape(scans.mask)[0]
     check_array("scans.pose.position_m", pose.position_m, shape=(looks, 2))
     check_array("scans.pose.heading_rad", pose.heading_rad, shape=(looks,))
-    at = jnp.isfinite(pose.position_m).all(-1) & jnp.isfinite(pose.heading_rad)
-    mask = scans.mask & jnp.isfinite(scans.range_m)
-    if scans.weight is not None:
-        mask = mask & jnp.isfinite(scans.weight)
-    return scans._replace(valid=scans.valid & jnp.isfinite(scans.time_s) & at, mask=mask)
+    return sound(scans)
 
 
 def _check_looks(

@@ -40,7 +40,9 @@ def film(
     seen = seen & np.asarray(scans.valid)[:, None]
     stage, identity = np.asarray(tracks.stage), np.asarray(tracks.identity)
     state, there = np.asarray(truth.state), np.asarray(truth.mask)
-    everything = np.concatenate([place[seen], state[there][:, :2]])
+    everything = np.concatenate([place[seen], state[there][:, :2], mean[live][:, :2]])
+    if not len(everything):
+        everything = np.zeros((1, 2))
     with style():
         figure = Figure(figsize=(5.2, 5.2), layout="constrained")
         FigureCanvasAgg(figure)
@@ -48,7 +50,11 @@ def film(
     low, high = everything.min(0) - _MARGIN_M, everything.max(0) + _MARGIN_M
 
     def draw(look: int) -> list[Any]:
-        axes.clear()
+        with style():
+            axes.clear()
+            return show(look)
+
+    def show(look: int) -> list[Any]:
         first = max(look - _TAIL, 0)
         for k in range(first, look + 1):
             faint = 0.15 + 0.85 * (k - first + 1) / (look - first + 1)

@@ -69,6 +69,7 @@ def run(context: Context) -> None:
         tables[name] = dataset(outcomes, cells)
         for table in tracking_report.tables(tables[name], name):
             say(table)
+        say(tracking_report.overflow(tables[name]))
     generated = None
     if not smoke:
         report = functools.partial(context.progress, "generated scenes")
@@ -99,7 +100,7 @@ def run(context: Context) -> None:
         context.out, saved if generated is None else saved | {"generated": generated}, summary
     )
     report = functools.partial(context.progress, "figures")
-    shown = _shown(_key(context, _TABLE_7), Rates(0.5, 0.5, 3.0))
+    shown = _shown(_key(context, _TABLE_7, 0), Rates(0.5, 0.5, 3.0))
     tracking_figures.draw(context.out, tables, shown, report)
     parts.forget_parts(context)
 

@@ -55,6 +55,16 @@ def generated(table: xr.Dataset) -> Table:
     return grid_table(title, names, [*TRACKERS, FLOOR], lines, trials=table.sizes["trial"])
 
 
+def overflow(table: xr.Dataset) -> str:
+    """Return in a sentence how often the joint vote's tables were too small."""
+    share = table.overflow.mean(("trial", "look")).values
+    worst = int(share.argmax())
+    return (
+        f"Windows with more pairs than the joint vote's table holds: {100 * share.mean():.1f} %, "
+        f"at most {100 * share[worst]:.1f} % ({_name(table, worst)})."
+    )
+
+
 def times(seconds: Mapping[str, float]) -> Table:
     """Return the time a look beside the paper's."""
     lines = [[f"{1000 * x:.1f} ms"] for x in seconds.values()]

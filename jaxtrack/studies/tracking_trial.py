@@ -1,7 +1,7 @@
 """One trial of the study `csht_tracking`: targets come and go, all trackers see the same looks.
 
-Scene, rates and gates are traced: every cell of every table is the same compiled program. Only the
-false-alarm model is static.
+Scene and rates are traced: every cell of every table is the same compiled program. The false-alarm
+model is static, and so are the trackers' settings, fixed for all cells.
 """
 
 import functools
@@ -139,7 +139,8 @@ def track(
 ) -> tuple[Found, Array]:
     """Return what a tracker reports at every look, and where its tables were too small.
 
-    Only what is confirmed and in sight counts: all trackers know the sonar's field of view.
+    Only what is confirmed and in sight counts. To the joint vote and the sensible Kalman tracker a
+    look out of sight is no miss; the others are the paper's, which do not ask.
     """
     tracker, looks = _tracker(name, scans, sonar, false_alarms, targets)
     _, info = jax.lax.scan(tracker.step, tracker.init(jax.random.key(0)), looks)

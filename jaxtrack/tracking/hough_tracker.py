@@ -2,8 +2,8 @@
 
 Every look a window estimator, any one, finds targets' positions and velocities in the last W valid
 looks. Tracks are told which estimate is theirs by position and velocity, take it in, and are graded
-by it; what no track claims becomes a tentative track. It does not wait for W looks: the first
-windows hold what there is.
+by it; an estimate in no track's gate becomes a tentative track. It does not wait for W looks: the
+first windows hold what there is.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ from jaxtrack.filtering.gaussian import Moments, choose, correct, predict
 from jaxtrack.models.motion import transition_matrix
 from jaxtrack.models.process import white_noise_acceleration
 from jaxtrack.numerics.assignment import assign
-from jaxtrack.numerics.checks import check_array, check_known, check_size
+from jaxtrack.numerics.checks import check_array, check_known, check_size, sound
 from jaxtrack.numerics.definite import rounding_floor, scaled_root
 from jaxtrack.tracking.kalman_tracker import Detect
 from jaxtrack.tracking.lifecycle import (
@@ -39,7 +39,9 @@ class HoughTrackerParams(NamedTuple):
     """What the tracker knows of targets. Traced."""
 
     sigma_a_m_s2: Array | float = 0.01  # [] white-noise acceleration of each coordinate
-    gate: Array | float = 18.5  # squared Mahalanobis distance in [x, y, vx, vy]; holds 99.9 %
+    # Squared distance in [x, y, vx, vy]: 99.9 % of four states, were the two independent; as they
+    # share looks it holds nearly all, and young tracks need that width.
+    gate: Array | float = 18.5
     lifecycle: LifecycleParams = LifecycleParams(confirm_hits=1, delete_misses=3)
 
 
@@ -84,8 +86,9 @@ def hough_tracker(
 
     A pair of a predicted track and an estimate costs (x̂ − x)ᵀ (P + P̂)⁻¹ (x̂ − x) − 2 log q, with q
     the share of hits in the track's last N looks and one more, so that of two tracks the better
-    one has the estimate; pairs within the gate are assigned at the least total cost. Successive windows share
-    W − 1 looks, so an estimate is not new to its track. It is to what the track was W looks ago,
+    one has the estimate. Pairs are assigned at the least total cost, a miss costs the gate, and an
+    estimate in the gate of any track starts none. Successive windows share W − 1 looks, so an
+    estimate is not new to its track. It is to what the track was W looks ago,
     carried to now, whose looks are all others: that is what it is fused with,
 
         x = x₋ + P₋ (P₋ + P̂)⁻¹ (x̂ − x₋),    P = P₋ − P₋ (P₋ + P̂)⁻¹ P₋,
@@ -149,11 +152,12 @@ def hough_tracker(
         return HoughTrackerState(looks, table, past)
 
     def step(state: HoughTrackerState, scan: ScanT) -> tuple[HoughTrackerState, HoughTrackerInfo]:
+        scan = sound(scan)
         looks, (estimates, info, _) = look_at(state.looks, scan)
         table, past = state.table, state.past
         valid = _valid_of(scan)
         now = jnp.where(valid, estimates.time_s, table.tracks.time_s).astype(past.time_s.dtype)
-        estimates = estimates._replace(mask=estimates.mask & valid)
+        estimates = _cleaned(estimates, estimates.mask & valid)
         there = table.tracks.mask
         since = jnp.where(there.any(), now - table.tracks.time_s, 0.0)
         moved = _carry(table.tracks.mean, table.tracks.covariance, there, since, params)
@@ -196,6 +200,17 @@ def hough_tracker(
     return Estimator(init, step)
 
 
+def _cleaned(estimates: Tracks, mask: Array) -> Tracks:
+    """Return estimates whose masked ones hold what does no harm, to gradients neither."""
+    unit = jnp.eye(4, dtype=estimates.mean.dtype)[None]
+    return estimates._replace(
+        mean=jnp.where(mask[:, None], estimates.mean, 0.0),
+        covariance=jnp.where(mask[:, None, None], estimates.covariance, unit),
+        log_score=jnp.where(mask, estimates.log_score, 0.0),
+        mask=mask,
+    )
+
+
 def _carry(
     mean: Array, covariance: Array, there: Array, dt_s: Array, params: HoughTrackerParams
 ) -> Moments:
@@ -221,13 +236,7 @@ def _associate(
         return ((root @ (estimate - mean)) ** 2).sum()
 
     each = jax.vmap(jax.vmap(distance, (None, None, 0, 0)), (0, 0, None, None))
-    unit = jnp.eye(4, dtype=tracks.mean.dtype)[None]
-    found = estimates.mask[:, None]
-    square = each(
-        *tracks,
-        jnp.where(found, estimates.mean, 0.0),
-        jnp.where(found[..., None], estimates.covariance, unit),
-    )
+    square = each(*tracks, estimates.mean, estimates.covariance)
     gate = jnp.asarray(params.gate, square.dtype)
     inside = pair & (square < gate)
     # A pair that costs no less than a miss is a miss.

@@ -1,7 +1,9 @@
 """From one window of a recording to its targets' motion elements: where they were, are and go."""
 
+import functools
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +12,7 @@ import numpy as np
 from jaxtrack.hough import clustering_statistic, joint
 from jaxtrack.hough.pairs import SpeedGate
 from jaxtrack.hough.slope_intercept import LineGrid, LineSizes
-from jaxtrack.models import BeamSonar
+from jaxtrack.models import BEAMS, POSITION, BeamSonar
 from jaxtrack.models.motion import look_times, propagate
 from jaxtrack.numerics.checks import check_choice, check_size
 from jaxtrack.tracking.prepared import (
@@ -29,6 +31,7 @@ _CELL_SIGMAS = 2.2  # width of a cell of positions
 _FINER = 0.3  # of a cell: what one step of velocity moves a line over the whole window
 _USUAL_S = 9.5
 _MOST_CELLS = 256
+_MOST_VELOCITIES = 512  # of one sign; that many cells never ask for more
 
 
 class MotionElements(NamedTuple):
@@ -99,10 +102,10 @@ def motion_elements(
     sizes, notes = joint_sizes(ready.positions, speed, window=window, tracks=max_tracks)
     looks = jax.tree.map(lambda x: x[valid], ready.looks)
     voted = joint.JointParams(ready.sensor, speed, gate)
-    run = jax.jit(
-        lambda looks: joint.estimate(looks, voted, sizes=sizes, observation=ready.observation)
-    )
-    tracks, _ = run(looks)
+    voted = jax.tree.map(lambda x: jnp.asarray(x, looks.time_s.dtype), voted)
+    tracks, info = _joint_program(sizes, sonar is not None)(looks, voted)
+    if bool(info.overflow):
+        notes += ("there are more pairs of detections than fit: targets may be missing",)
     start_s, _ = look_times(looks)
     return MotionElements(tracks, propagate(tracks.mean, start_s[0]), gate, notes)
 
@@ -132,7 +135,7 @@ def _by_cells(
         cells, cell_m = _MOST_CELLS, float((high - low).max()) / _MOST_CELLS
         notes = (f"the field is wide: cells are {cell_m:.0f} m instead of 2.2 sigma_m",)
     step = _FINER * cell_m / lasts_s
-    half = min(math.ceil(fastest / step), _MOST_CELLS)
+    half = min(math.ceil(fastest / step), _MOST_VELOCITIES)
     step = fastest / half
     grids = [LineGrid(-fastest, step, float(x), cell_m) for x in low]
     usual, slower = clustering_statistic.ClusteringParams(), lasts_s / _USUAL_S
@@ -148,12 +151,20 @@ def _by_cells(
         patterns=max_tracks,
         start=min(max_tracks, 3),
     )
-    find = (
-        clustering_statistic.estimate
-        if method == "csht"
-        else clustering_statistic.threshold_estimate
-    )
-    tracks, info = jax.jit(lambda scans: find(scans, params, sizes=sizes))(scans)
+    params = jax.tree.map(lambda x: jnp.asarray(x, scans.position_m.dtype), params)
+    tracks, info = _cells_program(method, sizes)(scans, params)
     if bool(jnp.any(info.overflow)):
         notes += ("more cells passed the threshold than fit: targets may be missing",)
     return MotionElements(tracks, info.initial, math.nan, notes)
+
+
+@functools.lru_cache(maxsize=16)
+def _joint_program(sizes: joint.JointSizes, beams: bool) -> Callable[..., Any]:
+    observation = BEAMS if beams else POSITION
+    return jax.jit(functools.partial(joint.estimate, sizes=sizes, observation=observation))
+
+
+@functools.lru_cache(maxsize=16)
+def _cells_program(method: str, sizes: clustering_statistic.ClusteringSizes) -> Callable[..., Any]:
+    csht, sht = clustering_statistic.estimate, clustering_statistic.threshold_estimate
+    return jax.jit(functools.partial(csht if method == "csht" else sht, sizes=sizes))

@@ -18,7 +18,7 @@ from jaxtrack.numerics.checks import (
     check_scans,
 )
 from jaxtrack.sensors.sonar import scan_of_beams
-from jaxtrack.tracking.window_sizes import MOST_HYPOTHESES, Field, field_of, fitting, pairs_of
+from jaxtrack.tracking.window_sizes import MOST_HYPOTHESES, Field, field_of, fitting, most_pairs
 from jaxtrack.types import BeamScan, Scan
 
 MOST_TRACKS = 1000  # that can be asked for
@@ -74,20 +74,23 @@ def prepare(
         check_known(name, value, fits, "a positive, finite number")
     check_known("p_detect", p_detect, lambda p: (p > 0) & (p < 1), "a probability between 0 and 1")
     if not isinstance(scans, BeamScan):
-        looks = _on_device(check_scans(scans))
+        if sonar is not None:
+            raise ValueError("sonar: got one with looks at positions, want None")
+        looks = on_device(check_scans(scans))
         field = field_of(looks, sigma_m)
         low, high = field.corners_m
-        sensor = PositionSensor(p_detect, max(field.clutter_per_m2, _LEAST_CLUTTER_PER_M2), sigma_m)
+        field = field._replace(clutter_per_m2=max(field.clutter_per_m2, _LEAST_CLUTTER_PER_M2))
+        sensor = PositionSensor(p_detect, field.clutter_per_m2, sigma_m)
         area_m2 = float(np.prod(high - low))
         return Prepared(looks, looks, sensor, POSITION, area_m2, field.clutter_per_m2, field)
     if sonar is None:
         raise ValueError("sonar: got None, want the sonar that the beams belong to")
     check_sonar(sonar)
-    looks = _on_device(check_beam_scans(scans))
+    looks = on_device(check_beam_scans(scans))
     positions = jax.vmap(scan_of_beams, (0, None))(looks, sonar)
     field = field_of(positions, float(sonar.sigma_m))
     area_m2 = float(sonar.range_max_m) ** 2 * float(sonar.sector_rad) / 2
-    clutter_per_m2 = field.detections_per_look / area_m2
+    clutter_per_m2 = max(field.detections_per_look / area_m2, _LEAST_CLUTTER_PER_M2)
     return Prepared(looks, positions, BeamSensor(sonar), BEAMS, area_m2, clutter_per_m2, field)
 
 
@@ -108,13 +111,9 @@ def joint_sizes(
         >>> joint_sizes(scans, SpeedGate(), window=3, tracks=2)[0].hypotheses
         1024
     """
-    host = jax.tree.map(np.asarray, scans)
-    valid = np.flatnonzero(host.valid)
     gap = max(1, min(3, window - 1))
-    most = 0
-    for last in range(min(window, len(valid)), len(valid) + 1, max(window // 4, 1)):
-        here = valid[max(last - window, 0) : last]
-        most = max(most, pairs_of(jax.tree.map(lambda x, at=here: x[at], host), speed, gap=gap))
+    host = jax.tree.map(np.asarray, scans)
+    most = most_pairs(host, speed, gap=gap, window=window)
     what = "pairs of distant looks in a window"
     hypotheses, notes = fitting(most, 1024, MOST_HYPOTHESES, what)
     survivors = 4096 if hypotheses > 4096 else None
@@ -137,8 +136,13 @@ def confirming_evidence(ready: Prepared, false_per_window: float) -> float:
     return max(math.log(ready.area_m2 / false_per_window), 1.0)
 
 
-def _on_device(scans: Any) -> Any:
-    """Return the scans with JAX's default float, float32 unless the user chose otherwise."""
+def on_device(scans: Any) -> Any:
+    """Return scans with JAX's default float, float32 unless the user chose otherwise.
+
+    Example:
+        >>> on_device(np.zeros(2, np.float16)).dtype == jnp.result_type(float)
+        True
+    """
     dtype = jnp.result_type(float)
     cast = lambda x: jnp.asarray(x, bool if np.asarray(x).dtype == bool else dtype)
     return jax.tree.map(cast, scans)

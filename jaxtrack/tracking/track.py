@@ -4,7 +4,9 @@ What is asked of the user is what the data cannot tell: speeds, noise, detection
 often a false track may start.
 """
 
+import functools
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -15,7 +17,7 @@ from jaxtrack.association import ASSOCIATORS
 from jaxtrack.association.jpda import MAX_TRACKS
 from jaxtrack.hough import joint
 from jaxtrack.hough.pairs import SpeedGate
-from jaxtrack.models import BeamSonar
+from jaxtrack.models import BEAMS, POSITION, BeamSonar
 from jaxtrack.numerics.checks import check_choice, check_known, check_size
 from jaxtrack.sensors.sonar import in_view
 from jaxtrack.tracking.hough_tracker import HoughTrackerParams, hough_tracker
@@ -23,7 +25,6 @@ from jaxtrack.tracking.kalman_tracker import KalmanTrackerParams, kalman_tracker
 from jaxtrack.tracking.lifecycle import LifecycleParams
 from jaxtrack.tracking.prepared import (
     MOST_TRACKS,
-    Prepared,
     confirming_evidence,
     joint_sizes,
     prepare,
@@ -42,6 +43,19 @@ class TrackInfo(NamedTuple):
     clutter_per_m2: float  # detections a square metre and look
     full: Array  # [T] a candidate found no free slot
     notes: tuple[str, ...]  # what did not fit, in sentences
+
+
+class _Told(NamedTuple):
+    """What a tracker is told of sensor and targets. Traced."""
+
+    sensor: Any
+    sonar: BeamSonar | None
+    speed: SpeedGate
+    score: Any
+    sigma_m: Any
+    sigma_a_m_s2: Any
+    p_detect: Any
+    clutter_per_m2: Any
 
 
 def track(
@@ -77,7 +91,7 @@ def track(
         sigma_a_m_s2: acceleration of a target, each coordinate, m/s².
         p_detect: probability that a target is detected in a look, in (0, 1).
         false_per_window: wanted mean number of false tracks in a window, at most.
-        window: looks of the joint vote.
+        window: looks of the joint vote, and those that `false_per_window` counts.
         max_tracks: slots of the table; tentative tracks take some.
         key: of the associators that draw; None: `jax.random.key(0)`.
 
@@ -115,66 +129,82 @@ def track(
         p_detect=p_detect,
         false_per_window=false_per_window,
     )
-    looks, notes = ready.looks, ()
+    looks, notes, sizes = ready.looks, (), None
     if tracker == "joint":
         score = confirming_evidence(ready, false_per_window)
         sizes, notes = joint_sizes(ready.positions, speed, window=window, tracks=max_tracks)
-        voted = joint.JointParams(ready.sensor, speed, max(score - _KEEP, 0.5))
-        sees = None if sonar is None else lambda mean, scan: _share(mean, scan.pose, sonar)
-        estimator = hough_tracker(
-            lambda looks: joint.estimate(looks, voted, sizes=sizes, observation=ready.observation),
-            HoughTrackerParams(sigma_a_m_s2, lifecycle=LifecycleParams(1, score, 3)),
-            like=jax.tree.map(lambda x: x[0], looks),
-            window=window,
-            max_tracks=max_tracks,
-            p_detect=sees,
-        )
     else:
         number = max(ready.field.detections_per_look * window, 1.0)
         score = max(math.log(number / false_per_window), 1.0)
-        params = _kalman_params(ready, sonar, speed, sigma_m, p_detect, score)
-        estimator = _kalman(params._replace(sigma_a_m_s2=sigma_a_m_s2), tracker, max_tracks, sonar)
         looks = ready.positions if sonar is None else (ready.positions, looks.pose)
-    key = jax.random.key(0) if key is None else key
-    run = jax.jit(lambda key, looks: jax.lax.scan(estimator.step, estimator.init(key), looks))
-    _, info = run(key, looks)
+        if sonar is not None:
+            sigma_m, p_detect = float(sonar.sigma_m), 1 - float(sonar.p_miss)
+    told = _Told(
+        ready.sensor, sonar, speed, score, sigma_m, sigma_a_m_s2, p_detect, ready.clutter_per_m2
+    )
+    dtype = ready.positions.position_m.dtype
+    told = jax.tree.map(lambda x: jnp.asarray(x, dtype), told)
+    run = _program(tracker, sizes, window, max_tracks)
+    info = run(jax.random.key(0) if key is None else key, looks, told)
     tracks: Tracks = info.tracks
     shown = tracks.mask & (tracks.stage >= Stage.CONFIRMED)
     if sonar is not None:
         seen = jax.vmap(lambda state, pose: in_view(state[:, :2], pose, sonar))
         shown = shown & seen(tracks.mean, ready.looks.pose)
+    if tracker == "joint" and bool(jnp.any(info.info.overflow)):
+        notes += ("windows held more pairs of detections than fit: tracks may be missing",)
     if bool(jnp.any(info.full)):
         notes += (f"the table of {max_tracks} tracks was full at times: raise max_tracks",)
     return tracks._replace(mask=shown), TrackInfo(score, ready.clutter_per_m2, info.full, notes)
 
 
-def _kalman_params(
-    ready: Prepared,
-    sonar: BeamSonar | None,
-    speed: SpeedGate,
-    sigma_m: float,
-    p_detect: float,
-    score: float,
-) -> KalmanTrackerParams:
-    if sonar is not None:
-        sigma_m, p_detect = float(sonar.sigma_m), 1 - float(sonar.p_miss)
-    return KalmanTrackerParams(
-        sigma_m,
-        0.0,
-        p_detect,
-        max(ready.clutter_per_m2, 1e-12),
-        birth_sigma_m_s=float(speed.v_max_m_s) / 2,
-        lifecycle=LifecycleParams(3, score),
-    )
+@functools.lru_cache(maxsize=16)
+def _program(
+    tracker: str, sizes: joint.JointSizes | None, window: int, max_tracks: int
+) -> Callable[[Key, Any, _Told], Any]:
+    """Return the whole run, compiled; recordings alike share it, whatever their numbers are."""
+
+    def run(key: Key, looks: Any, told: _Told) -> Any:
+        if sizes is None:
+            estimator = _kalman(tracker, max_tracks, told)
+        else:
+            estimator = _joint(looks, sizes, window, max_tracks, told)
+        return jax.lax.scan(estimator.step, estimator.init(key), looks)[1]
+
+    return jax.jit(run)
 
 
-def _kalman(
-    params: KalmanTrackerParams, associator: str, max_tracks: int, sonar: BeamSonar | None
+def _joint(
+    looks: Any, sizes: joint.JointSizes, window: int, max_tracks: int, told: _Told
 ) -> Estimator:
-    """Return a Kalman tracker, over looks, or over looks with the poses of a sonar."""
-    build = lambda sees: kalman_tracker(
-        params, max_tracks=max_tracks, associator=associator, p_detect=sees
+    sonar = told.sonar
+    keep = jnp.maximum(told.score - _KEEP, 0.5)
+    voted = joint.JointParams(told.sensor, told.speed, keep)
+    observation = POSITION if sonar is None else BEAMS
+    return hough_tracker(
+        lambda looks: joint.estimate(looks, voted, sizes=sizes, observation=observation),
+        HoughTrackerParams(told.sigma_a_m_s2, lifecycle=LifecycleParams(1, told.score, 3)),
+        like=jax.tree.map(lambda x: x[0], looks),
+        window=window,
+        max_tracks=max_tracks,
+        p_detect=None if sonar is None else lambda mean, scan: _share(mean, scan.pose, sonar),
     )
+
+
+def _kalman(tracker: str, max_tracks: int, told: _Told) -> Estimator:
+    """Return a Kalman tracker, over looks, or over looks with the poses of a sonar."""
+    params = KalmanTrackerParams(
+        told.sigma_m,
+        told.sigma_a_m_s2,
+        told.p_detect,
+        told.clutter_per_m2,
+        birth_sigma_m_s=told.speed.v_max_m_s / 2,
+        lifecycle=LifecycleParams(3, told.score),
+    )
+    build = lambda sees: kalman_tracker(
+        params, max_tracks=max_tracks, associator=tracker, p_detect=sees
+    )
+    sonar = told.sonar
     if sonar is None:
         return build(None)
 

@@ -25,7 +25,7 @@ from jaxtrack.montecarlo import monte_carlo
 from jaxtrack.numerics.checks import check_choice, check_scans, check_size
 from jaxtrack.sensors.radar import Radar, observe
 from jaxtrack.tracking.initiate import InitiateParams, initiate
-from jaxtrack.tracking.prepared import MOST_TRACKS
+from jaxtrack.tracking.prepared import MOST_TRACKS, on_device
 from jaxtrack.tracking.window_sizes import Field, choose_sizes, field_of
 from jaxtrack.types import Array, Key, Scan, Stage, Tracks, Truth
 
@@ -112,7 +112,7 @@ def initiate_window(
     """
     _check_options(method, speed, sigma_m, p_detect, false_per_run, max_tracks)
     key = jax.random.key(0) if key is None else key
-    scans = _on_device(check_scans(scans))
+    scans = on_device(check_scans(scans))
     if scans.weight is not None:
         scans = scans._replace(mask=scans.mask & (scans.weight > 0))
     field = field_of(scans, sigma_m)
@@ -175,13 +175,6 @@ def _check_options(
     check("false_per_run", false_per_run, low <= false_per_run <= high, rates)
     if check_size("max_tracks", max_tracks) > MOST_TRACKS:
         raise ValueError(f"max_tracks: got {max_tracks}, want at most {MOST_TRACKS}")
-
-
-def _on_device(scans: Scan) -> Scan:
-    """Return the scans with JAX's default float, float32 unless the user chose otherwise."""
-    dtype = jnp.result_type(float)
-    cast = lambda x: jnp.asarray(x, bool if np.asarray(x).dtype == bool else dtype)
-    return jax.tree.map(cast, scans)
 
 
 def _estimate(

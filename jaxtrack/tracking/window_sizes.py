@@ -108,18 +108,32 @@ def choose_sizes(
     return sizes, notes
 
 
-def pairs_of(scans: Scan, speed: SpeedGate, *, gap: int) -> int:
-    """Return how many pairs of detections at least `gap` looks apart one target could have caused.
+def most_pairs(scans: Scan, speed: SpeedGate, *, gap: int, window: int) -> int:
+    """Return how many pairs at least `gap` looks apart the fullest window of a recording holds.
+
+    Counted are pairs of detections that one target could have caused, over all runs of `window`
+    valid looks.
 
     Example:
         >>> scans = Scan(np.arange(3.0), np.ones(3, bool), np.zeros((3, 1, 2)) +
         ...              np.arange(0.0, 600.0, 200.0)[:, None, None], np.ones((3, 1), bool))
-        >>> pairs_of(scans, SpeedGate(100.0, 400.0), gap=1)
+        >>> most_pairs(scans, SpeedGate(100.0, 400.0), gap=1, window=3)
         3
+        >>> most_pairs(scans, SpeedGate(100.0, 400.0), gap=1, window=2)
+        1
     """
-    looks = int(np.shape(scans.time_s)[0])
-    couples = [(k, m) for k in range(looks) for m in range(k + gap, looks)]
-    return sum(int(_admissible(scans, k, m, speed).sum()) for k, m in couples)
+    valid = np.flatnonzero(np.asarray(scans.valid))
+    count: dict[tuple[int, int], int] = {}
+    here, most = 0, 0
+    for end in range(len(valid)):
+        for start in range(max(end - window + 1, 0), end - gap + 1):
+            pairs = int(_admissible(scans, valid[start], valid[end], speed).sum())
+            count[start, end] = pairs
+            here += pairs
+        gone = end - window
+        here -= sum(count.pop((gone, m), 0) for m in range(gone + gap, end)) if gone >= 0 else 0
+        most = max(most, here)
+    return most
 
 
 def fitting(needed: int, least: int, most: int, what: str) -> tuple[int, tuple[str, ...]]:

@@ -12,6 +12,7 @@ from jaxtrack.metrics import nees
 from jaxtrack.models import look_times
 from jaxtrack.tracking import HoughTrackerParams, LifecycleParams, hough_tracker
 from jaxtrack.types import Scan, Stage, Tracks
+from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import hough_tracker as oracle
 
 SIGMA_M, WINDOW, SLOTS, LAST, LOOKS, PLACES = 2.0, 5, 4, 4, 24, 5
@@ -195,19 +196,36 @@ def test_float32_stays_float32():
     np.testing.assert_array_equal(info.tracks.mask, run(scans)[1].tracks.mask)
 
 
-def test_gradients_are_finite():
+def poisoned(scans):
+    """What `lines` finds, with NaN where there is none."""
+    found, count = lines(scans)
+    wild = lambda x: jnp.where(found.mask.reshape(-1, *(1,) * (x.ndim - 1)), x, jnp.nan)
+    mean, covariance, score = map(wild, (found.mean, found.covariance, found.log_score))
+    return found._replace(mean=mean, covariance=covariance, log_score=score), count
+
+
+def test_gradients_agree_with_central_differences_whatever_masked_estimates_hold():
     scans, _, _ = scene(2)
+    like = jax.tree.map(lambda x: jnp.asarray(x[0]), scans)
+    tracker = hough_tracker(
+        poisoned, PARAMS, like=like, window=WINDOW, max_tracks=SLOTS, confirm_looks=LAST
+    )
 
     def loss(position):
-        state, _ = run(scans._replace(position_m=position))
-        return state.table.tracks.mean.sum()
+        looks = scans._replace(position_m=jnp.where(scans.mask[..., None], position, jnp.nan))
+        _, info = jax.lax.scan(tracker.step, tracker.init(jax.random.key(0)), looks)
+        return jnp.sin(info.tracks.mean[-1] / 50.0).sum()
 
-    clean = np.nan_to_num(scans.position_m)
-    slope = jax.jit(jax.grad(loss))(clean)
-    assert np.isfinite(slope).all()
-    assert (slope != 0).any()
-    broken = jax.jit(jax.grad(loss))(scans.position_m)
-    assert np.isfinite(broken).all()
+    assert_gradients_agree(loss, jnp.nan_to_num(jnp.asarray(scans.position_m)))
+
+
+def test_a_look_without_a_time_is_none():
+    scans, _, _ = scene(0, p_valid=1.0)
+    broken, blind = (jax.tree.map(np.copy, scans) for _ in range(2))
+    broken.time_s[12], blind.valid[12] = np.nan, False
+    (found, _), (expected, _) = run(broken), run(blind)
+    chex.assert_trees_all_close(found.table, expected.table, rtol=1e-12)
+    chex.assert_trees_all_close(found.past, expected.past, rtol=1e-12)
 
 
 @pytest.mark.parametrize(

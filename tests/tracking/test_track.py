@@ -1,13 +1,22 @@
 """From recordings to tracks and motion elements, as a user's file goes through."""
 
+import typing
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxtrack.cli.files import estimate
+from jaxtrack.cli.files import track as track_file
 from jaxtrack.hough import SpeedGate
+from jaxtrack.hough.pairs import distant_pairs
 from jaxtrack.models import BeamSonar
 from jaxtrack.sensors import motion_elements_scene, observe_beams
-from jaxtrack.tracking import motion_elements, track
+from jaxtrack.tracking import ESTIMATORS, TRACKERS, motion_elements, track
+from jaxtrack.tracking.prepared import joint_sizes
+from jaxtrack.tracking.track import _program
+from jaxtrack.tracking.window_sizes import _admissible, most_pairs
 from jaxtrack.types import Scan
 
 SPEED, SIGMA_M, LOOKS = SpeedGate(0.0, 60.0), 4.0, 14
@@ -68,6 +77,37 @@ def test_the_papers_votes_find_a_lone_target_in_cells_of_the_data(method):
     assert gap.min() < 5 * SIGMA_M
 
 
+def test_a_burst_in_the_last_looks_fits_too():
+    rng = np.random.default_rng(4)
+    counts = np.array([9] * 20 + [30, 60, 90, 120])
+    mask = np.arange(120)[None] < counts[:, None]
+    scans = Scan(np.arange(24.0), counts > 0, rng.uniform(-90, 90, (24, 120, 2)), mask)
+    sizes, notes = joint_sizes(scans, SPEED, window=20, tracks=2)
+    window = jax.tree.map(lambda x: jnp.asarray(x[-20:]), scans)
+    _, _, overflow = distant_pairs(window, SPEED, gap=sizes.gap, hypotheses=sizes.hypotheses)
+    assert not overflow
+    assert notes == ()
+    loop = [
+        sum(
+            int(_admissible(scans, k, m, SPEED).sum())
+            for k in range(e - 19, e)
+            for m in range(k + 3, e + 1)
+        )
+        for e in range(19, 24)
+    ]
+    assert most_pairs(scans, SPEED, gap=3, window=20) == max(loop)
+
+
+def test_recordings_alike_share_one_program():
+    before = _program.cache_info().misses
+    for seed in (5, 6):
+        tracks, _ = track(recording(seed), tracker="greedy", speed=SPEED, sigma_m=4.0 + seed)
+        assert tracks.mask.any()
+    program = _program("greedy", None, 10, 10)
+    assert _program.cache_info().misses == before + 1
+    assert program._cache_size() == 1
+
+
 def test_where_nothing_is_nothing_is_found():
     scans = recording()
     nothing = scans._replace(mask=np.zeros_like(scans.mask))
@@ -119,3 +159,13 @@ def test_beams_want_their_sonar():
         track(looks)
     with pytest.raises(ValueError, match="method: got 'best'"):
         motion_elements(looks, method="best")
+    with pytest.raises(ValueError, match="sonar: got one with looks at positions"):
+        track(recording(), sonar=BeamSonar())
+
+
+def test_the_command_line_offers_every_tracker_and_estimator():
+    for command, option, names in (
+        (track_file, "tracker", TRACKERS),
+        (estimate, "method", ESTIMATORS),
+    ):
+        assert typing.get_args(typing.get_type_hints(command)[option]) == names
