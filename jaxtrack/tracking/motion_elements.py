@@ -76,11 +76,11 @@ def motion_elements(
 
     Example:
         >>> t = np.arange(8.0)
-        >>> at = np.stack([30 * t, 500 - 20 * t], axis=-1)[:, None]
+        >>> at = np.stack([90 + 30 * t, 500 - 20 * t], axis=-1)[:, None]
         >>> scans = Scan(t, np.ones(8, bool), at, np.ones((8, 1), bool))
         >>> found = motion_elements(scans, speed=SpeedGate(0.0, 60.0), sigma_m=5.0, max_tracks=2)
         >>> print(found.initial[0].round(), found.tracks.mean[0].round())
-        [  0. 500.  30. -20.] [210. 360.  30. -20.]
+        [ 90. 500.  30. -20.] [300. 360.  30. -20.]
     """
     check_choice("method", method, ESTIMATORS)
     if check_size("max_tracks", max_tracks) > MOST_TRACKS:
