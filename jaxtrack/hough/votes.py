@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxtrack.hough.grid import Grid, Sizes, cell_difference, cell_of, centre_of, steps
 from jaxtrack.models.line import line_difference
-from jaxtrack.numerics.checks import check_known
+from jaxtrack.numerics.checks import check_positive
 from jaxtrack.numerics.safe import safe_divide
 from jaxtrack.types import Array
 
@@ -164,8 +164,7 @@ def gaussian(eps_rho_m: Array, eps_theta_rad: Array) -> VoteKernel:
     Source: neutrosophic Hough transform (2018), equations 15 and 31.
     """
     for name, eps in (("eps_rho_m", eps_rho_m), ("eps_theta_rad", eps_theta_rad)):
-        fits = lambda x: (x > 0) & np.isfinite(x)
-        check_known(name, eps, fits, "a positive, finite number")
+        check_positive(name, eps, jnp.result_type(float))
 
     def similarity(rho: Array, theta: Array, votes: Votes) -> Array:
         d_rho, d_theta = line_difference(rho, theta, votes.rho_m, votes.theta_rad)

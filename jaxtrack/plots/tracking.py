@@ -87,14 +87,13 @@ def maps(truth: Truth, tracks: Mapping[str, Any], *, title: str = "") -> Figure:
 
 
 def errors_over_time(
-    time_s: Any, panels: Mapping[str, Mapping[str, Any]], *, unit: str = "m", title: str = ""
+    time_s: Any, panels: Mapping[str, Mapping[str, Any]], *, title: str = ""
 ) -> Figure:
     """Return errors over time, one panel below the other.
 
     Args:
         time_s: [T].
-        panels: by error, by tracker: [T].
-        unit: of the errors.
+        panels: by error, by tracker: [T], metres.
         title: of the figure.
 
     Example:
@@ -114,7 +113,7 @@ def errors_over_time(
                 axes.plot(time_s, values, color=COLOURS[k], lw=1.2, marker=MARKERS[k], ms=3.5,
                           markevery=max(len(time_s) // 12, 1), label=name)  # fmt: skip
             axes.set_ylim(bottom=0.0)
-            axes.set_ylabel(f"{what}, {unit}")
+            axes.set_ylabel(f"{what}, m")
             dress(axes)
         column[-1].set_xlabel("time, s")
         _legend(figure, column[0], title)

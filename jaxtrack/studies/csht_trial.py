@@ -31,7 +31,7 @@ METHODS = ("SHT", "CSHT", "joint")
 KNOWN = ("floor", "least squares")  # they are told which detection is whose
 
 # The paper's one-coordinate vote sees positions; these places hold all that a look can have.
-_POSITIONS = {"per_beam": 90, "per_scan": 8}
+POSITIONS = {"per_beam": 90, "per_scan": 8}
 _SIZES = {
     "per_beam": joint.JointSizes(5, 16384, gap=10, survivors=4096, samples=256),
     "per_scan": joint.JointSizes(5, 4096, gap=10, samples=256),
@@ -75,7 +75,7 @@ def trial(false_alarms: str) -> Callable[[Key, Inputs], Outcome]:
             look, *scene, beams=BEAM_COUNT, false_alarms=false_alarms
         )
         tracks, info = _joint(scans, scene.sonar, inputs.gate, false_alarms)
-        positions = as_positions(scans, scene.sonar, _POSITIONS[false_alarms])
+        positions = as_positions(scans, scene.sonar, POSITIONS[false_alarms])
         paper = clustering_statistic.ClusteringParams()
         sht, _ = clustering_statistic.threshold_estimate(positions, paper)
         csht, _ = clustering_statistic.estimate(positions, paper)
@@ -135,7 +135,7 @@ def vote_counts(false_alarms: str) -> Callable[[Key, SonarScene], tuple[Array, A
 
     def run(key: Key, scene: SonarScene) -> tuple[Array, Array]:
         scans = observe_beams(key, *scene, beams=BEAM_COUNT, false_alarms=false_alarms)
-        positions = as_positions(scans, scene.sonar, _POSITIONS[false_alarms])
+        positions = as_positions(scans, scene.sonar, POSITIONS[false_alarms])
         paper = clustering_statistic.ClusteringParams()
         sizes = clustering_statistic.ClusteringSizes().lines
         votes = hard_votes(points_of(positions, 0), paper.x, sizes=sizes)

@@ -202,6 +202,6 @@ STUDY = Study(
     trials_short=2,
     trials_full=100,
     seconds_short=60.0,
-    seconds_full=10000.0,
+    seconds_full=12500.0,
     run=run,
 )

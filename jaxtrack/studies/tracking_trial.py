@@ -24,7 +24,15 @@ from jaxtrack.sensors import (
     random_sonar_scene,
     scan_of_beams,
 )
-from jaxtrack.studies.csht_trial import BEAM_COUNT, CUTOFF, ORDER, SPEED, as_positions, assumed
+from jaxtrack.studies.csht_trial import (
+    BEAM_COUNT,
+    CUTOFF,
+    ORDER,
+    POSITIONS,
+    SPEED,
+    as_positions,
+    assumed,
+)
 from jaxtrack.tracking import (
     HoughTrackerParams,
     KalmanPaperParams,
@@ -43,7 +51,6 @@ FLOOR = "delay floor"  # told which detection is whose, once the evidence is the
 TRUTHS = ("visible", "table")
 KEEP, CONFIRM = 6.0, 10.0  # nats of evidence that keep a track alive, and that confirm it
 
-_POSITIONS = {"per_beam": 90, "per_scan": 8}
 _PAIRS = {"per_beam": 32768, "per_scan": 8192}
 _SLOTS = 12
 _KALMAN_SLOTS = 96  # clutter fills many
@@ -174,7 +181,7 @@ def _tracker(
         )
         return tracker, scans
     if name == "hough CSHT":
-        looks = as_positions(scans, sonar, _POSITIONS[false_alarms])
+        looks = as_positions(scans, sonar, POSITIONS[false_alarms])
         paper = clustering_statistic.ClusteringParams()
         wide = clustering_statistic.ClusteringSizes(lines=LineSizes(positions=75))
         tracker = hough_tracker(

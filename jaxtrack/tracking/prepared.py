@@ -15,6 +15,7 @@ from jaxtrack.models.sonar import check_sonar
 from jaxtrack.numerics.checks import (
     check_beam_scans,
     check_known,
+    check_positive,
     check_scans,
 )
 from jaxtrack.sensors.sonar import scan_of_beams
@@ -70,8 +71,7 @@ def prepare(
     """
     check_speeds(speed)
     for name, value in (("sigma_m", sigma_m), ("false_per_window", false_per_window)):
-        fits = lambda x: (x > 0) & np.isfinite(x)
-        check_known(name, value, fits, "a positive, finite number")
+        check_positive(name, value, jnp.result_type(float))
     check_known("p_detect", p_detect, lambda p: (p > 0) & (p < 1), "a probability between 0 and 1")
     if not isinstance(scans, BeamScan):
         if sonar is not None:
