@@ -9,6 +9,7 @@ from jaxtrack.cli.screen import (
     fail,
     line,
     print_elements,
+    print_files,
     print_lives,
     print_tracks,
     progress,
@@ -64,13 +65,12 @@ def initiate(
     from jaxtrack.io import read_detections, write_tracks
     from jaxtrack.tracking import initiate_window
 
-    console, errors = Console(), Console(stderr=True)
     wrong = _wrong_outputs(file, out, figure)
     if wrong:
         return fail(wrong)
     try:
         recording = read_detections(file, bearing=bearing)
-        with progress(errors) as report:
+        with progress(Console(stderr=True)) as report:
             tracks, info = initiate_window(
                 recording.scans,
                 method=method,
@@ -87,10 +87,8 @@ def initiate(
             draw(figure, recording, tracks, info.smoothed_m, f"{file.name}, {method}")
     except (OSError, ValueError) as error:  # a DataError is a ValueError
         return fail(line(error))
-    print_tracks(console, recording, tracks, info, seed)
-    for note in info.notes:
-        errors.print(f"note: {note}", highlight=False, soft_wrap=True)
-    console.print(f"{out}" + (f", {figure}" if figure else ""), highlight=False, soft_wrap=True)
+    print_tracks(Console(), recording, tracks, info, seed)
+    print_files(info.notes, out, figure)
     return 0
 
 
@@ -141,7 +139,6 @@ def estimate(
     from jaxtrack.io import write_tracks
     from jaxtrack.tracking import motion_elements
 
-    console, errors = Console(), Console(stderr=True)
     wrong = _wrong_outputs(file, out, figure)
     if wrong:
         return fail(wrong)
@@ -163,10 +160,8 @@ def estimate(
             draw(figure, shown, found.tracks, None, f"{file.name}, {method}")
     except (OSError, ValueError) as error:
         return fail(line(error))
-    print_elements(console, recording, found)
-    for note in found.notes:
-        errors.print(f"note: {note}", highlight=False, soft_wrap=True)
-    console.print(f"{out}" + (f", {figure}" if figure else ""), highlight=False, soft_wrap=True)
+    print_elements(Console(), recording, found)
+    print_files(found.notes, out, figure)
     return 0
 
 
@@ -237,7 +232,6 @@ def track(
     from jaxtrack.hough import SpeedGate
     from jaxtrack.io import write_tracks
 
-    console, errors = Console(), Console(stderr=True)
     wrong = _wrong_outputs(file, out, figure)
     if wrong:
         return fail(wrong)
@@ -261,10 +255,8 @@ def track(
             draw(figure, _positions(recording, sonar), tracks, None, f"{file.name}, {tracker}")
     except (OSError, ValueError) as error:
         return fail(line(error))
-    print_lives(console, recording, tracks, info)
-    for note in info.notes:
-        errors.print(f"note: {note}", highlight=False, soft_wrap=True)
-    console.print(f"{out}" + (f", {figure}" if figure else ""), highlight=False, soft_wrap=True)
+    print_lives(Console(), recording, tracks, info)
+    print_files(info.notes, out, figure)
     return 0
 
 

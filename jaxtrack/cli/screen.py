@@ -5,7 +5,7 @@ import math
 import pathlib
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -177,6 +177,16 @@ def print_lives(
             f"{math.hypot(*mean[2:4]):.1f}",
         )
     console.print(table)
+
+
+def print_files(notes: Sequence[str], out: pathlib.Path, figure: pathlib.Path | None) -> None:
+    """Print what did not fit, on stderr, and which files were written."""
+    from rich.console import Console
+
+    for note in notes:
+        Console(stderr=True).print(f"note: {note}", highlight=False, soft_wrap=True)
+    written = f"{out}" + (f", {figure}" if figure else "")
+    Console().print(written, highlight=False, soft_wrap=True)
 
 
 def _place(value: float) -> str:

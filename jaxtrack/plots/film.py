@@ -52,28 +52,25 @@ def film(
     def draw(look: int) -> list[Any]:
         with style():
             axes.clear()
-            return show(look)
-
-    def show(look: int) -> list[Any]:
-        first = max(look - _TAIL, 0)
-        for k in range(first, look + 1):
-            faint = 0.15 + 0.85 * (k - first + 1) / (look - first + 1)
-            north, east = place[k][seen[k]].T
-            axes.plot(east, north, ".", color="#999999", ms=4, alpha=faint)
-        for target in np.flatnonzero(there[look]):
-            north, east = state[look, target, :2]
-            axes.plot(east, north, "o", mfc="none", mec=INK, ms=11)
-        for slot in np.flatnonzero(live[look]):
-            same = (identity[first : look + 1] == identity[look, slot]) & live[first : look + 1]
-            north, east = mean[first : look + 1][same][:, :2].T
-            sure = stage[look, slot] >= Stage.CONFIRMED
-            colour = COLOURS[identity[look, slot] % len(COLOURS)]
-            axes.plot(east, north, color=colour, lw=2.2 if sure else 0.7)
-        axes.set(xlim=(low[1], high[1]), ylim=(low[0], high[0]), xlabel="east, m")
-        axes.set_ylabel("north, m")
-        axes.set_aspect("equal")
-        axes.set_title(f"{title}  {float(scans.time_s[look]):.1f} s", loc="left")
-        dress(axes)
+            first = max(look - _TAIL, 0)
+            for k in range(first, look + 1):
+                faint = 0.15 + 0.85 * (k - first + 1) / (look - first + 1)
+                north, east = place[k][seen[k]].T
+                axes.plot(east, north, ".", color="#999999", ms=4, alpha=faint)
+            for target in np.flatnonzero(there[look]):
+                north, east = state[look, target, :2]
+                axes.plot(east, north, "o", mfc="none", mec=INK, ms=11)
+            for slot in np.flatnonzero(live[look]):
+                same = (identity[first : look + 1] == identity[look, slot]) & live[first : look + 1]
+                north, east = mean[first : look + 1][same][:, :2].T
+                sure = stage[look, slot] >= Stage.CONFIRMED
+                colour = COLOURS[identity[look, slot] % len(COLOURS)]
+                axes.plot(east, north, color=colour, lw=2.2 if sure else 0.7)
+            axes.set(xlim=(low[1], high[1]), ylim=(low[0], high[0]), xlabel="east, m")
+            axes.set_ylabel("north, m")
+            axes.set_aspect("equal")
+            axes.set_title(f"{title}  {float(scans.time_s[look]):.1f} s", loc="left")
+            dress(axes)
         return []
 
     frames = range(0, len(seen), every)

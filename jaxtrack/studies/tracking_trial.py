@@ -43,7 +43,8 @@ from jaxtrack.tracking import (
     kalman_tracker,
     sliding,
 )
-from jaxtrack.types import Array, BeamScan, Estimator, Key, Pose, Stage, Tracks, Truth
+from jaxtrack.tracking.sight import on_board, sight_of
+from jaxtrack.types import Array, BeamScan, Estimator, Key, Stage, Tracks, Truth
 
 WINDOW = 20
 TRACKERS = ("hough joint", "hough CSHT", "kalman paper", "kalman JPDA")
@@ -170,14 +171,13 @@ def _tracker(
         sizes = joint.JointSizes(
             targets, _PAIRS[false_alarms], 1024, gap=3, survivors=4096, samples=256
         )
-        seen = lambda mean, scan: in_view(mean[:2], scan.pose, sonar).astype(mean.dtype)
         tracker = hough_tracker(
             lambda looks: joint.estimate(looks, params, sizes=sizes, observation=BEAMS),
             HoughTrackerParams(lifecycle=LifecycleParams(1, CONFIRM, 3)),
             like=first(scans),
             window=WINDOW,
             max_tracks=_SLOTS,
-            p_detect=seen,
+            p_detect=sight_of(sonar),
         )
         return tracker, scans
     if name == "hough CSHT":
@@ -214,22 +214,16 @@ def _kalman_jpda(detect: Array, clutter: Array, sonar: BeamSonar) -> Estimator:
         lifecycle=LifecycleParams(6, 14.0, 6, 3),
     )
 
-    def tracker(pose: Pose) -> Estimator:
-        seen = lambda mean, _: in_view(mean[:2], pose, sonar).astype(mean.dtype)
-        return kalman_tracker(
+    return on_board(
+        lambda sees: kalman_tracker(
             params,
             max_tracks=_KALMAN_SLOTS,
             associator="belief_propagation",
             confirm_looks=10,
-            p_detect=seen,
-        )
-
-    def step(state: Any, at: Any) -> tuple[Any, Any]:
-        look, pose = at
-        return tracker(pose).step(state, look)
-
-    nowhere = Pose(jnp.zeros(2, detect.dtype), jnp.zeros((), detect.dtype))
-    return Estimator(tracker(nowhere).init, step)
+            p_detect=sees,
+        ),
+        sonar,
+    )
 
 
 def _floor(

@@ -19,7 +19,6 @@ from jaxtrack.models.process import white_noise_acceleration
 from jaxtrack.numerics.assignment import assign
 from jaxtrack.numerics.checks import check_array, check_known, check_size, sound
 from jaxtrack.numerics.definite import rounding_floor, scaled_root
-from jaxtrack.tracking.kalman_tracker import Detect
 from jaxtrack.tracking.lifecycle import (
     Births,
     LifecycleParams,
@@ -29,10 +28,9 @@ from jaxtrack.tracking.lifecycle import (
     empty_table,
     grade,
 )
+from jaxtrack.tracking.sight import COUNTS, Detect, everywhere
 from jaxtrack.tracking.sliding import sliding
 from jaxtrack.types import Array, Estimator, InfoT, Key, ScanT, Tracks
-
-_COUNTS = 0.01  # probability of detection below which a look is no miss
 
 
 class HoughTrackerParams(NamedTuple):
@@ -140,11 +138,11 @@ def hough_tracker(
     check_size("confirm_looks", confirm_looks)
     _check(params, confirm_looks)
     window_of, look_at = sliding(estimate, like=like, window=window)
-    sees: Detect = (lambda mean, scan: jnp.ones((), mean.dtype)) if p_detect is None else p_detect
+    sees = everywhere if p_detect is None else p_detect
 
     def init(key: Key) -> HoughTrackerState:
-        looks = window_of(key)
-        zero = jnp.zeros((), _time_of(looks).dtype)
+        looks: Any = window_of(key)
+        zero = jnp.zeros((), looks.time_s.dtype)
         table = empty_table(zero, tracks=max_tracks, state=4, looks=confirm_looks)
         copies = lambda x: jnp.zeros((window, *x.shape), x.dtype)
         tracks = table.tracks
@@ -152,10 +150,10 @@ def hough_tracker(
         return HoughTrackerState(looks, table, past)
 
     def step(state: HoughTrackerState, scan: ScanT) -> tuple[HoughTrackerState, HoughTrackerInfo]:
-        scan = sound(scan)
-        looks, (estimates, info, _) = look_at(state.looks, scan)
+        look: Any = sound(scan)
+        looks, (estimates, info, _) = look_at(state.looks, look)
         table, past = state.table, state.past
-        valid = _valid_of(scan)
+        valid = look.valid
         now = jnp.where(valid, estimates.time_s, table.tracks.time_s).astype(past.time_s.dtype)
         estimates = _cleaned(estimates, estimates.mask & valid)
         there = table.tracks.mask
@@ -171,7 +169,7 @@ def hough_tracker(
         ago = _carry(past.mean[0], past.covariance[0], old, since, params)
         fused = jax.vmap(_fuse)(ago, own)
         mean, covariance = _where(hit, _where(old, fused, own), moved)
-        counted = valid & there & (jax.vmap(sees, (0, None))(moved.mean, scan) > _COUNTS)
+        counted = valid & there & (jax.vmap(sees, (0, None))(moved.mean, look) > COUNTS)
         updated = table.tracks._replace(
             time_s=now,
             mean=mean,
@@ -258,14 +256,6 @@ def _where(condition: Array, yes: Moments, no: Moments) -> Moments:
     """Return one of two densities for each track."""
     mean = jnp.where(condition[:, None], yes.mean, no.mean)
     return Moments(mean, jnp.where(condition[:, None, None], yes.covariance, no.covariance))
-
-
-def _time_of(looks: Any) -> Array:
-    return looks.time_s
-
-
-def _valid_of(scan: Any) -> Array:
-    return scan.valid
 
 
 def _check(params: HoughTrackerParams, confirm_looks: int) -> None:

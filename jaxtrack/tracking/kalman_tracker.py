@@ -6,7 +6,7 @@ looks confirm it, misses in a row delete it (`tracking.lifecycle`).
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -44,16 +44,13 @@ from jaxtrack.tracking.lifecycle import (
     empty_table,
     grade,
 )
+from jaxtrack.tracking.sight import COUNTS, Detect, everywhere
 from jaxtrack.types import Array, Estimator, Key, Scan, Stage, Tracks
 
 Move = Callable[[Array, Array, Array], Linear]
 """(mean [S], covariance [S, S], dt_s) → the motion near that density, its noise in `excess`."""
 
-Detect = Callable[[Array, Any], Array]
-"""(mean [S], scan) → the probability that the sensor sees a target there, in this look."""
-
 _SEEN = 0.5  # share of a track's weight on detections from which a look counts as a hit
-_COUNTS = 0.01  # probability of detection below which a look is no miss
 
 
 class KalmanTrackerParams(NamedTuple):
@@ -147,7 +144,7 @@ def kalman_tracker(
 
     motion: Move = constant_velocity if move is None else move
 
-    sees: Detect = (lambda mean, scan: jnp.ones((), mean.dtype)) if p_detect is None else p_detect
+    sees = everywhere if p_detect is None else p_detect
 
     def init(key: Key) -> KalmanTrackerState:
         zero = jnp.zeros((), as_float(params.sigma_m).dtype)
@@ -178,7 +175,7 @@ def kalman_tracker(
 
         claimed = found.weight.sum(1)
         ratio, miss = likelihood_ratios(predicted, scan, known)
-        counted = scan.valid & tracks.mask & (detect > _COUNTS)
+        counted = scan.valid & tracks.mask & (detect > COUNTS)
         gain = jnp.where(counted, safe_log(miss + ratio.sum(1)), 0.0)
         score = tracks.log_score + gain
         moved = tracks._replace(

@@ -12,8 +12,9 @@ import numpy as np
 from jaxtrack.hough import clustering_statistic, joint
 from jaxtrack.hough.pairs import SpeedGate
 from jaxtrack.hough.slope_intercept import LineGrid, LineSizes
-from jaxtrack.models import BEAMS, POSITION, BeamSonar
+from jaxtrack.models import BeamSonar
 from jaxtrack.models.motion import look_times, propagate
+from jaxtrack.models.observation import Observation
 from jaxtrack.numerics.checks import check_choice, check_size
 from jaxtrack.tracking.prepared import (
     MOST_TRACKS,
@@ -96,31 +97,24 @@ def motion_elements(
     valid = np.flatnonzero(np.asarray(ready.looks.valid))
     check_size("number of valid looks", len(valid), at_least=2)
     if method != "joint":
-        return _by_cells(ready, method, speed, sonar, sigma_m, max_tracks)
+        return _by_cells(ready, method, speed, max_tracks)
     window = len(valid)
     gate = confirming_evidence(ready, false_per_window)
     sizes, notes = joint_sizes(ready.positions, speed, window=window, tracks=max_tracks)
     looks = jax.tree.map(lambda x: x[valid], ready.looks)
     voted = joint.JointParams(ready.sensor, speed, gate)
     voted = jax.tree.map(lambda x: jnp.asarray(x, looks.time_s.dtype), voted)
-    tracks, info = _joint_program(sizes, sonar is not None)(looks, voted)
+    tracks, info = _joint_program(sizes, ready.observation)(looks, voted)
     if bool(info.overflow):
         notes += ("there are more pairs of detections than fit: targets may be missing",)
     start_s, _ = look_times(looks)
     return MotionElements(tracks, propagate(tracks.mean, start_s[0]), gate, notes)
 
 
-def _by_cells(
-    ready: Prepared,
-    method: str,
-    speed: SpeedGate,
-    sonar: BeamSonar | None,
-    sigma_m: float,
-    max_tracks: int,
-) -> MotionElements:
+def _by_cells(ready: Prepared, method: str, speed: SpeedGate, max_tracks: int) -> MotionElements:
     """Return what the vote in cells of velocity and initial position finds."""
     scans = ready.positions._replace(covariance_m2=None)
-    sigma_m = sigma_m if sonar is None else float(sonar.sigma_m)
+    sigma_m = ready.sigma_m
     counts = np.asarray(scans.mask) & np.asarray(scans.valid)[:, None]
     places = np.asarray(scans.position_m, np.float64)[counts]
     times = np.asarray(scans.time_s, np.float64)[np.asarray(scans.valid)]
@@ -159,8 +153,7 @@ def _by_cells(
 
 
 @functools.lru_cache(maxsize=16)
-def _joint_program(sizes: joint.JointSizes, beams: bool) -> Callable[..., Any]:
-    observation = BEAMS if beams else POSITION
+def _joint_program(sizes: joint.JointSizes, observation: Observation) -> Callable[..., Any]:
     return jax.jit(functools.partial(joint.estimate, sizes=sizes, observation=observation))
 
 

@@ -19,7 +19,7 @@ from jaxtrack.numerics.checks import (
     check_scans,
 )
 from jaxtrack.sensors.sonar import scan_of_beams
-from jaxtrack.tracking.window_sizes import MOST_HYPOTHESES, Field, field_of, fitting, most_pairs
+from jaxtrack.tracking.window_sizes import MOST_HYPOTHESES, field_of, fitting, most_pairs
 from jaxtrack.types import BeamScan, Scan
 
 MOST_TRACKS = 1000  # that can be asked for
@@ -35,8 +35,10 @@ class Prepared(NamedTuple):
     sensor: Any  # the observation's
     observation: Observation
     area_m2: float  # that detections lie in
-    clutter_per_m2: float  # detections a square metre and look
-    field: Field
+    detections_per_look: float
+    clutter_per_m2: float  # the same a square metre
+    sigma_m: float  # of the sonar where there is one
+    p_detect: float  # likewise
 
 
 def prepare(
@@ -79,19 +81,31 @@ def prepare(
         looks = on_device(check_scans(scans))
         field = field_of(looks, sigma_m)
         low, high = field.corners_m
-        field = field._replace(clutter_per_m2=max(field.clutter_per_m2, _LEAST_CLUTTER_PER_M2))
-        sensor = PositionSensor(p_detect, field.clutter_per_m2, sigma_m)
-        area_m2 = float(np.prod(high - low))
-        return Prepared(looks, looks, sensor, POSITION, area_m2, field.clutter_per_m2, field)
+        clutter_per_m2 = max(field.clutter_per_m2, _LEAST_CLUTTER_PER_M2)
+        return Prepared(
+            looks,
+            looks,
+            PositionSensor(p_detect, clutter_per_m2, sigma_m),
+            POSITION,
+            float(np.prod(high - low)),
+            field.detections_per_look,
+            clutter_per_m2,
+            sigma_m,
+            p_detect,
+        )
     if sonar is None:
         raise ValueError("sonar: got None, want the sonar that the beams belong to")
     check_sonar(sonar)
     looks = on_device(check_beam_scans(scans))
     positions = jax.vmap(scan_of_beams, (0, None))(looks, sonar)
-    field = field_of(positions, float(sonar.sigma_m))
+    sigma_m, p_detect = float(sonar.sigma_m), 1 - float(sonar.p_miss)
+    number = field_of(positions, sigma_m).detections_per_look
     area_m2 = float(sonar.range_max_m) ** 2 * float(sonar.sector_rad) / 2
-    clutter_per_m2 = max(field.detections_per_look / area_m2, _LEAST_CLUTTER_PER_M2)
-    return Prepared(looks, positions, BeamSensor(sonar), BEAMS, area_m2, clutter_per_m2, field)
+    clutter_per_m2 = max(number / area_m2, _LEAST_CLUTTER_PER_M2)
+    sensor = BeamSensor(sonar)
+    return Prepared(
+        looks, positions, sensor, BEAMS, area_m2, number, clutter_per_m2, sigma_m, p_detect
+    )
 
 
 def joint_sizes(

@@ -17,7 +17,8 @@ from jaxtrack.association import ASSOCIATORS
 from jaxtrack.association.jpda import MAX_TRACKS
 from jaxtrack.hough import joint
 from jaxtrack.hough.pairs import SpeedGate
-from jaxtrack.models import BEAMS, POSITION, BeamSonar
+from jaxtrack.models import BeamSonar
+from jaxtrack.models.observation import Observation
 from jaxtrack.numerics.checks import check_choice, check_known, check_size
 from jaxtrack.sensors.sonar import in_view
 from jaxtrack.tracking.hough_tracker import HoughTrackerParams, hough_tracker
@@ -29,7 +30,8 @@ from jaxtrack.tracking.prepared import (
     joint_sizes,
     prepare,
 )
-from jaxtrack.types import Array, BeamScan, Estimator, Key, Pose, Scan, Stage, Tracks
+from jaxtrack.tracking.sight import on_board, sight_of
+from jaxtrack.types import Array, BeamScan, Estimator, Key, Scan, Stage, Tracks
 
 TRACKERS = ("joint", *ASSOCIATORS)
 
@@ -134,17 +136,22 @@ def track(
         score = confirming_evidence(ready, false_per_window)
         sizes, notes = joint_sizes(ready.positions, speed, window=window, tracks=max_tracks)
     else:
-        number = max(ready.field.detections_per_look * window, 1.0)
+        number = max(ready.detections_per_look * window, 1.0)
         score = max(math.log(number / false_per_window), 1.0)
         looks = ready.positions if sonar is None else (ready.positions, looks.pose)
-        if sonar is not None:
-            sigma_m, p_detect = float(sonar.sigma_m), 1 - float(sonar.p_miss)
     told = _Told(
-        ready.sensor, sonar, speed, score, sigma_m, sigma_a_m_s2, p_detect, ready.clutter_per_m2
+        ready.sensor,
+        sonar,
+        speed,
+        score,
+        ready.sigma_m,
+        sigma_a_m_s2,
+        ready.p_detect,
+        ready.clutter_per_m2,
     )
     dtype = ready.positions.position_m.dtype
     told = jax.tree.map(lambda x: jnp.asarray(x, dtype), told)
-    run = _program(tracker, sizes, window, max_tracks)
+    run = _program(tracker, sizes, ready.observation, window, max_tracks)
     info = run(jax.random.key(0) if key is None else key, looks, told)
     tracks: Tracks = info.tracks
     shown = tracks.mask & (tracks.stage >= Stage.CONFIRMED)
@@ -160,7 +167,11 @@ def track(
 
 @functools.lru_cache(maxsize=16)
 def _program(
-    tracker: str, sizes: joint.JointSizes | None, window: int, max_tracks: int
+    tracker: str,
+    sizes: joint.JointSizes | None,
+    observation: Observation,
+    window: int,
+    max_tracks: int,
 ) -> Callable[[Key, Any, _Told], Any]:
     """Return the whole run, compiled; recordings alike share it, whatever their numbers are."""
 
@@ -168,26 +179,29 @@ def _program(
         if sizes is None:
             estimator = _kalman(tracker, max_tracks, told)
         else:
-            estimator = _joint(looks, sizes, window, max_tracks, told)
+            estimator = _joint(looks, sizes, observation, window, max_tracks, told)
         return jax.lax.scan(estimator.step, estimator.init(key), looks)[1]
 
     return jax.jit(run)
 
 
 def _joint(
-    looks: Any, sizes: joint.JointSizes, window: int, max_tracks: int, told: _Told
+    looks: Any,
+    sizes: joint.JointSizes,
+    observation: Observation,
+    window: int,
+    max_tracks: int,
+    told: _Told,
 ) -> Estimator:
-    sonar = told.sonar
     keep = jnp.maximum(told.score - _KEEP, 0.5)
     voted = joint.JointParams(told.sensor, told.speed, keep)
-    observation = POSITION if sonar is None else BEAMS
     return hough_tracker(
         lambda looks: joint.estimate(looks, voted, sizes=sizes, observation=observation),
         HoughTrackerParams(told.sigma_a_m_s2, lifecycle=LifecycleParams(1, told.score, 3)),
         like=jax.tree.map(lambda x: x[0], looks),
         window=window,
         max_tracks=max_tracks,
-        p_detect=None if sonar is None else lambda mean, scan: _share(mean, scan.pose, sonar),
+        p_detect=None if told.sonar is None else sight_of(told.sonar),
     )
 
 
@@ -204,16 +218,4 @@ def _kalman(tracker: str, max_tracks: int, told: _Told) -> Estimator:
     build = lambda sees: kalman_tracker(
         params, max_tracks=max_tracks, associator=tracker, p_detect=sees
     )
-    sonar = told.sonar
-    if sonar is None:
-        return build(None)
-
-    def step(state: Any, at: tuple[Scan, Pose]) -> tuple[Any, Any]:
-        look, pose = at
-        return build(lambda mean, _: _share(mean, pose, sonar)).step(state, look)
-
-    return Estimator(build(None).init, step)
-
-
-def _share(mean: Array, pose: Pose, sonar: BeamSonar) -> Array:
-    return in_view(mean[:2], pose, sonar).astype(mean.dtype)
+    return build(None) if told.sonar is None else on_board(build, told.sonar)

@@ -11,7 +11,7 @@ from jaxtrack.cli.files import estimate
 from jaxtrack.cli.files import track as track_file
 from jaxtrack.hough import SpeedGate
 from jaxtrack.hough.pairs import distant_pairs
-from jaxtrack.models import BeamSonar
+from jaxtrack.models import POSITION, BeamSonar
 from jaxtrack.sensors import motion_elements_scene, observe_beams
 from jaxtrack.tracking import ESTIMATORS, TRACKERS, motion_elements, track
 from jaxtrack.tracking.prepared import joint_sizes
@@ -103,7 +103,7 @@ def test_recordings_alike_share_one_program():
     for seed in (5, 6):
         tracks, _ = track(recording(seed), tracker="greedy", speed=SPEED, sigma_m=4.0 + seed)
         assert tracks.mask.any()
-    program = _program("greedy", None, 10, 10)
+    program = _program("greedy", None, POSITION, 10, 10)
     assert _program.cache_info().misses == before + 1
     assert program._cache_size() == 1
 
