@@ -20,7 +20,6 @@ from jaxtrack.studies import ccm_figures, ccm_report, parts, store
 from jaxtrack.studies.ccm_trial import METHODS, Inputs, Outcome, simulate, trial
 from jaxtrack.studies.registry import Context, Study
 from jaxtrack.studies.tables import entry, marks_table
-from jaxtrack.types import Key
 
 LEAST_CLUTTER = 1e-3  # β₀ a square metre: what associators assume where there is less
 LEAST_GRID = (1e-4, 1e-2, 1e-1)  # others, in the situations without clutter
@@ -66,7 +65,7 @@ def run(context: Context) -> None:
     every = cells()
     for place, (name, cell) in enumerate(every.items()):
         report = functools.partial(context.progress, name)
-        key = _key(context, place)
+        key = context.key(place)
         part = name.replace("/", " ")
         outcomes[name] = parts.run_part(
             context, part, trial, key, context.trials, _inputs(cell), report
@@ -85,7 +84,7 @@ def run(context: Context) -> None:
     }
     store.save(context.out, {"scores": scores}, summary)
     seen = jax.jit(simulate)
-    first = jax.random.fold_in(_key(context, 0), 0)
+    first = jax.random.fold_in(context.key(0), 0)
     runs = {name: seen(first, _inputs(every[name])) for name in situations()}
     ccm_figures.draw(context.out, runs, scores, functools.partial(context.progress, "figures"))
     parts.forget_parts(context)
@@ -120,10 +119,6 @@ def dataset(outcomes: Mapping[str, Outcome]) -> xr.Dataset:
 
 def _inputs(cell: Cell) -> Inputs:
     return jax.tree.map(jnp.asarray, Inputs(*cell))
-
-
-def _key(context: Context, *numbers: int) -> Key:
-    return functools.reduce(jax.random.fold_in, numbers, jax.random.key(context.seed))
 
 
 STUDY = Study(

@@ -11,7 +11,7 @@ from jaxtrack.studies.tables import (
     Mark,
     Row,
     grid_table,
-    mean,
+    mean_of,
     quotient,
     rate,
     root_mean_square,
@@ -124,8 +124,7 @@ def _failed(scores: xr.Dataset, cell: str, method: str) -> np.ndarray:
 
 def _difference(ours: np.ndarray, theirs: np.ndarray) -> Figure:
     """Return the mean of what we have less than they, over the same runs, with its interval."""
-    less = theirs - ours
-    return mean(float(less.mean()), float(less.std(ddof=1) / np.sqrt(len(less))), len(less))
+    return mean_of(theirs - ours)
 
 
 def _word(less: Figure) -> str:

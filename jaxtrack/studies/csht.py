@@ -86,13 +86,13 @@ def run(context: Context) -> None:
     few = max(context.trials // 5, min(context.trials, SMOKE_BELOW))
     table_2 = {}
     for place, name in enumerate(VARIANTS):
-        key = _key(context, _TABLE_2, place)
+        key = context.key(_TABLE_2, place)
         trials = context.trials if name == "literal" else few
         table_2[name] = _part(context, key, trials, name, motion_elements_scene(), gates[name])
     generated = outside = None
     # A smoke run leaves these out: they are a program of their own to compile.
     if context.trials >= SMOKE_BELOW:
-        key = _key(context, _GENERATED)
+        key = context.key(_GENERATED)
         every = _part(context, key, context.trials, "literal", None, gates["literal"])
         within = every.within.values[0]  # the same scenes in every cell
         generated, outside = every.isel(trial=within), every.isel(trial=~within)
@@ -124,7 +124,7 @@ def run(context: Context) -> None:
         tables |= {"generated": generated, "generated_outside": outside}
     store.save(context.out, tables, summary)
     report = functools.partial(context.progress, "figures")
-    csht_figures.draw(context.out, table_2, _key(context), report)
+    csht_figures.draw(context.out, table_2, context.key(), report)
     parts.forget_parts(context)
 
 
@@ -134,7 +134,7 @@ def derive_gates(context: Context, scenes: int = SCENES) -> dict[str, list[float
     nobody = scene.truth._replace(mask=jnp.zeros_like(scene.truth.mask))
     gates: dict[str, list[float]] = {}
     for place, (name, variant) in enumerate(VARIANTS.items()):
-        key = _key(context, _GATES, place)
+        key = context.key(_GATES, place)
         gates[name] = []
         for done, cell in enumerate(CELLS, start=1):
             # With the least gate: what is weaker takes nothing from the others there either.
@@ -160,7 +160,7 @@ def _votes(context: Context, variant: str) -> tuple[float, float]:
     """Return mean votes of the true lines' cells, and of the strongest cell away from them."""
     scene = motion_elements_scene()._replace(sonar=_sonar(variant, Rates(0.3, 0.3, 3.0)))
     count = vote_counts(VARIANTS[variant].false_alarms)
-    own, other = monte_carlo(count, _key(context, _TABLE_2), 64, scene, micro_batch=1).mean
+    own, other = monte_carlo(count, context.key(_TABLE_2), 64, scene, micro_batch=1).mean
     return float(own), float(other)
 
 
@@ -236,10 +236,6 @@ def _dataset(outcomes: Sequence[Outcome]) -> xr.Dataset:
     }
     rates = {name: ("cell", [getattr(c, name) for c in CELLS]) for name in Rates._fields}
     return xr.Dataset(table, coords={"estimator": list(names), **rates})
-
-
-def _key(context: Context, *numbers: int) -> Key:
-    return functools.reduce(jax.random.fold_in, numbers, jax.random.key(context.seed))
 
 
 STUDY = Study(

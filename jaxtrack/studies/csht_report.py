@@ -13,10 +13,11 @@ from jaxtrack.studies.tables import (
     Mark,
     Row,
     grid_table,
-    mean,
+    mean_of,
     number,
     quotient,
     rate,
+    standard_error,
 )
 
 _MEASURES = {
@@ -121,7 +122,7 @@ def marks(table_2: Mapping[str, xr.Dataset], generated: xr.Dataset | None) -> li
         here, name = literal.isel(cell=cell), _name(literal, cell)
         if float(here.p_miss) <= 0.3:
             paper = _paper("position", "CSHT", literal, cell)
-            ours = _mean(here.position_ospa.sel(estimator="joint").values, "m")
+            ours = mean_of(here.position_ospa.sel(estimator="joint").values, "m")
             bound = Mark(float(paper), at_least=False)
             rows.append(Row(f"{name}: joint, position, all runs", ours, paper, bound))
     at = (one.p_miss == 0.3) & (one.p_false == 0.3) & (one.sigma_m == 3.0)
@@ -196,17 +197,11 @@ def _name(table: xr.Dataset, cell: int) -> str:
 def _spread(values: np.ndarray) -> str:
     if len(values) == 0:
         return "–"
-    error = values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else np.inf
-    return f"{values.mean():.3g} ± {error:.2g} ({np.median(values):.3g})"
+    return f"{values.mean():.3g} ± {standard_error(values):.2g} ({np.median(values):.3g})"
 
 
 def _rate(hits: np.ndarray) -> Figure:
     return rate(float(hits.sum()), len(hits))
-
-
-def _mean(values: np.ndarray, unit: str) -> Figure:
-    error = values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else np.inf
-    return mean(float(values.mean()), float(error), len(values), unit)
 
 
 def _paper(what: str, method: str, table: xr.Dataset, cell: int) -> str:

@@ -126,7 +126,7 @@ def derive(context: Context) -> tuple[dict[str, Gates], int]:
         inputs = real_inputs(0.0) if name == "real" else _situation(f"IV-{name}", 0.0)
         nobody = inputs.truth._replace(mask=jnp.zeros_like(inputs.truth.mask))
         what = f"gates, clutter {name}"
-        key = _key(context, _GATES, place)
+        key = context.key(_GATES, place)
         outcome = _run(context, what, shape, key, scenes, inputs._replace(truth=nobody))
         gates[name] = derive_gates(outcome)
     return gates, scenes
@@ -140,7 +140,7 @@ def simulate_all(context: Context, gates: dict[str, Gates]) -> dict[str, Cell]:
         gate = gates[name]["joint", "raw"]
         recorded = situation in REAL
         inputs = real_inputs(REAL[situation], gate) if recorded else _situation(situation, gate)
-        key = _key(context, _TRIALS, place)
+        key = context.key(_TRIALS, place)
         outcome = _run(context, situation, SHAPES[name], key, context.trials, inputs)
         cells[situation] = Cell(situation, SHAPES[name], inputs, key, gates[name], outcome)
     return cells
@@ -158,7 +158,7 @@ def run_times(context: Context, cells: dict[str, Cell]) -> xr.Dataset:
     if context.trials >= MORE_FROM:
         for clutter in MORE_CLUTTER:
             inputs = simulated_inputs("IV", clutter, clutter)
-            settings.append(nht_times.simulated(_key(context, _TIMES), clutter, inputs))
+            settings.append(nht_times.simulated(context.key(_TIMES), clutter, inputs))
     settings.sort(key=lambda setting: setting.clutter)
     report = functools.partial(context.progress, "run times")
     return nht_times.measure(settings, setting("real + 10 m"), report)
@@ -167,10 +167,6 @@ def run_times(context: Context, cells: dict[str, Cell]) -> xr.Dataset:
 def _situation(name: str, joint_gate: float) -> Inputs:
     clutter = float(SITUATIONS[name])
     return simulated_inputs(name.partition("-")[0], clutter, clutter, joint_gate)
-
-
-def _key(context: Context, *numbers: int) -> Key:
-    return functools.reduce(jax.random.fold_in, numbers, jax.random.key(context.seed))
 
 
 def _run(
@@ -185,7 +181,7 @@ def _compile(context: Context) -> None:
 
     def first(name: str) -> None:
         inputs = real_inputs(0.0) if name == "real" else _situation(f"IV-{name}", 0.0)
-        monte_carlo(trial(SHAPES[name]), _key(context), 1, inputs, micro_batch=1)
+        monte_carlo(trial(SHAPES[name]), context.key(), 1, inputs, micro_batch=1)
 
     with concurrent.futures.ThreadPoolExecutor(len(SHAPES)) as pool:
         for done, _ in enumerate(pool.map(first, SHAPES), start=1):

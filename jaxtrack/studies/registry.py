@@ -1,10 +1,14 @@
 """What a study is: a paper's experiments, run again, with marks that were fixed beforehand."""
 
+import functools
 import pathlib
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 from rich.console import Console
+
+from jaxtrack.types import Key
 
 
 class Context(NamedTuple):
@@ -15,6 +19,17 @@ class Context(NamedTuple):
     seed: int
     console: Console  # where its tables go
     progress: Callable[[str, int, int], None]  # (what, done, total)
+
+    def key(self, *numbers: int) -> Key:
+        """Return the random key of a stream, told from others by its numbers.
+
+        Example:
+            >>> from rich.console import Console
+            >>> context = Context(pathlib.Path(), 1, 0, Console(), lambda *_: None)
+            >>> bool((context.key(1) == context.key(2)).all())
+            False
+        """
+        return functools.reduce(jax.random.fold_in, numbers, jax.random.key(self.seed))
 
 
 class Study(NamedTuple):

@@ -60,6 +60,26 @@ def mean(value: float, standard_error: float, trials: int, unit: str = "") -> Fi
     return Figure(value, float(interval.lower), float(interval.upper), trials, unit)
 
 
+def standard_error(values: np.ndarray) -> float:
+    """Return that of the mean of independent values; infinite of fewer than two.
+
+    Example:
+        >>> standard_error(np.array([1.0, 3.0])), standard_error(np.array([1.0]))
+        (1.0, inf)
+    """
+    return float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else np.inf
+
+
+def mean_of(values: np.ndarray, unit: str = "") -> Figure:
+    """Return the mean of independent values with its normal interval.
+
+    Example:
+        >>> mean_of(np.array([1.0, 3.0])).value
+        2.0
+    """
+    return mean(float(values.mean()), standard_error(values), len(values), unit)
+
+
 def root_mean_square(
     squares: np.ndarray, counts: np.ndarray, trials: int, unit: str = ""
 ) -> Figure:

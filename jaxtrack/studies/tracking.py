@@ -59,7 +59,7 @@ def run(context: Context) -> None:
     for place, (name, false_alarms) in enumerate(VARIANTS.items()):
         if smoke and name != "literal":
             continue
-        key = _key(context, _TABLE_7, place)
+        key = context.key(_TABLE_7, place)
         outcomes = []
         for done, cell in enumerate(cells, start=1):
             what = f"{name}, {cell_name(*cell)}"
@@ -78,7 +78,7 @@ def run(context: Context) -> None:
             context,
             "generated",
             generated_trial,
-            _key(context, _GENERATED),
+            context.key(_GENERATED),
             context.trials,
             _inputs(one).scene.sonar,
             report,
@@ -100,7 +100,7 @@ def run(context: Context) -> None:
         context.out, saved if generated is None else saved | {"generated": generated}, summary
     )
     report = functools.partial(context.progress, "figures")
-    shown = _shown(_key(context, _TABLE_7, 0), Rates(0.5, 0.5, 3.0))
+    shown = _shown(context.key(_TABLE_7, 0), Rates(0.5, 0.5, 3.0))
     tracking_figures.draw(context.out, tables, shown, report)
     parts.forget_parts(context)
 
@@ -139,7 +139,7 @@ def dataset(outcomes: Sequence[Outcome], cells: Sequence[Rates]) -> xr.Dataset:
 def seconds_a_look(context: Context) -> dict[str, float]:
     """Return how long each tracker takes a look, compiled, at P_M = P_F = 0.5 as in the paper."""
     scene, _ = _inputs(Rates(0.5, 0.5, 3.0))
-    looks = jax.jit(lambda key: observe_beams(key, *scene, beams=BEAM_COUNT))(_key(context, _TIMED))
+    looks = jax.jit(lambda key: observe_beams(key, *scene, beams=BEAM_COUNT))(context.key(_TIMED))
     found = {}
     for place, name in enumerate(TRACKERS, start=1):
         alone = jax.jit(functools.partial(_count, name))
@@ -188,10 +188,6 @@ def _inputs(cell: Rates) -> Inputs:
     rates = {name: jnp.asarray(x) for name, x in cell._asdict().items()}
     scene = scene._replace(sonar=scene.sonar._replace(**rates))
     return jax.tree.map(jnp.asarray, Inputs(scene, visible))
-
-
-def _key(context: Context, *numbers: int) -> Key:
-    return functools.reduce(jax.random.fold_in, numbers, jax.random.key(context.seed))
 
 
 STUDY = Study(

@@ -63,7 +63,7 @@ def _over_time(table: xr.Dataset, variant: str) -> Any:
     here = table.isel(cell=cell).sel(truth="visible").mean("trial")
     panels = {
         words: {name: here[measure].sel(tracker=name).values for name in (*TRACKERS, FLOOR)}
-        for measure, (_, words) in MEASURES.items()
+        for measure, words in MEASURES.items()
     }
     time_s = 1.0 + 0.5 * np.arange(table.sizes["look"])
     title = f"Means over {table.sizes['trial']} runs, P_M = P_F = 0.5; false alarms: {variant}"
@@ -73,8 +73,8 @@ def _over_time(table: xr.Dataset, variant: str) -> Any:
 def _by_rates(table: xr.Dataset, measure: str, variant: str) -> Any:
     from jaxtrack import plots
 
-    field, words = MEASURES[measure]
-    printed = getattr(tracking_paper, f"{field}_BY_RATES")
+    words = MEASURES[measure]
+    printed = tracking_paper.BY_RATES[measure]
     panels, paper = {}, {}
     for row, p_miss in enumerate(RATES):
         name = f"P_M = {p_miss:g}"
@@ -93,9 +93,9 @@ def _by_rates(table: xr.Dataset, measure: str, variant: str) -> Any:
 def _by_sigma(table: xr.Dataset, measure: str, variant: str) -> Any:
     from jaxtrack import plots
 
-    field, words = MEASURES[measure]
+    words = MEASURES[measure]
     chosen = table.isel(cell=np.flatnonzero(_at(table, p_miss=0.3, p_false=0.3)))
-    printed = getattr(tracking_paper, f"{field}_BY_SIGMA")
+    printed = tracking_paper.BY_SIGMA[measure]
     name = "P_M = P_F = 0.3"
     return plots.error_curves(
         {name: _curves(chosen.sortby("sigma_m"), measure, "sigma_m")},

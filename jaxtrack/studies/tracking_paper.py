@@ -86,4 +86,15 @@ DISTANCE_BY_SIGMA = {
 }
 """Table 13."""
 
+BY_RATES = {
+    "cardinality": CARDINALITY_BY_RATES,
+    "localization": LOCALIZATION_BY_RATES,
+    "distance": DISTANCE_BY_RATES,
+}
+BY_SIGMA = {
+    "cardinality": CARDINALITY_BY_SIGMA,
+    "localization": LOCALIZATION_BY_SIGMA,
+    "distance": DISTANCE_BY_SIGMA,
+}
+
 SECONDS_A_LOOK = {"CSHT": 0.1537, "Kalman": 0.0110}

@@ -9,13 +9,24 @@ from rich.table import Table
 from jaxtrack.studies import tracking_paper
 from jaxtrack.studies.csht_paper import RATES, SIGMAS_M
 from jaxtrack.studies.csht_report import cell_name
-from jaxtrack.studies.tables import Figure, Mark, Row, grid_table, mean, number, quotient, rate
+from jaxtrack.studies.tables import (
+    Figure,
+    Mark,
+    Row,
+    grid_table,
+    mean,
+    mean_of,
+    number,
+    quotient,
+    rate,
+    standard_error,
+)
 from jaxtrack.studies.tracking_trial import FLOOR, TRACKERS
 
 MEASURES = {
-    "cardinality": ("CARDINALITY", "cardinality error"),
-    "localization": ("LOCALIZATION", "localization error"),
-    "distance": ("DISTANCE", "OSPA distance"),
+    "cardinality": "cardinality error",
+    "localization": "localization error",
+    "distance": "OSPA distance",
 }
 COMBINED = "combined"
 _JOINT = "hough joint"
@@ -32,7 +43,7 @@ def tables(table: xr.Dataset, variant: str) -> list[Table]:
     found = []
     names = [_name(table, cell) for cell in range(table.sizes["cell"])]
     for truth in map(str, table.truth.values):
-        for measure, (_, words) in {**MEASURES, COMBINED: ("", "√(card² + loc²)")}.items():
+        for measure, words in {**MEASURES, COMBINED: "√(card² + loc²)"}.items():
             lines = []
             for cell in range(len(names)):
                 ours = [_mean(table, cell, truth, name, measure) for name in (*TRACKERS, FLOOR)]
@@ -50,7 +61,7 @@ def generated(table: xr.Dataset) -> Table:
         [_spread(_mean(table, 0, "visible", name, measure)) for name in (*TRACKERS, FLOOR)]
         for measure in MEASURES
     ]
-    names = [words for _, words in MEASURES.values()]
+    names = list(MEASURES.values())
     title = f"Generated scenes, {_name(table, 0)}, in m"
     return grid_table(title, names, [*TRACKERS, FLOOR], lines, trials=table.sizes["trial"])
 
@@ -114,11 +125,11 @@ def marks(literal: xr.Dataset, quiet: np.ndarray) -> list[Row]:
 def paper_figure(table: xr.Dataset, cell: int, measure: str, who: str) -> float:
     """Return what the paper prints for a cell; its distance is the combined one."""
     p_miss, p_false, sigma_m = (float(table[k][cell]) for k in ("p_miss", "p_false", "sigma_m"))
-    field = MEASURES["distance" if measure == COMBINED else measure][0]
+    measure = "distance" if measure == COMBINED else measure
     if sigma_m == 3.0:
-        printed = getattr(tracking_paper, f"{field}_BY_RATES")[who]
+        printed = tracking_paper.BY_RATES[measure][who]
         return float(printed[RATES.index(round(p_miss, 3)), RATES.index(round(p_false, 3))])
-    return float(getattr(tracking_paper, f"{field}_BY_SIGMA")[who][SIGMAS_M.index(sigma_m)])
+    return float(tracking_paper.BY_SIGMA[measure][who][SIGMAS_M.index(sigma_m)])
 
 
 def _mean(table: xr.Dataset, cell: int, truth: str, tracker: str, measure: str) -> Figure:
@@ -129,18 +140,14 @@ def _mean(table: xr.Dataset, cell: int, truth: str, tracker: str, measure: str) 
         root = float(np.hypot(card, loc))
         # To first order, which is all that a standard error is.
         each = (card * parts[0] + loc * parts[1]) / max(root, 1e-12)
-        return mean(root, _error(each), len(each), "m")
+        return mean(root, standard_error(each), len(each), "m")
     each = here[measure].mean("look").values.astype(float)
-    return mean(float(each.mean()), _error(each), len(each), "m")
+    return mean_of(each, "m")
 
 
 def _distance(table: xr.Dataset, cell: int, tracker: str) -> np.ndarray:
     here = table.distance.isel(cell=cell).sel(truth="visible", tracker=tracker)
     return here.mean("look").values.astype(float)
-
-
-def _error(each: np.ndarray) -> float:
-    return float(each.std(ddof=1) / np.sqrt(len(each))) if len(each) > 1 else np.inf
 
 
 def _spread(figure: Figure) -> str:
