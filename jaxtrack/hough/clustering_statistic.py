@@ -43,7 +43,7 @@ class ClusteringParams(NamedTuple):
         scenes                                       runs        exact number   median position OSPA
         of the finalists, three targets              about 769   0.991          2.9 m
         of the finalists, one | two | four targets   fewer       0.00 | 0.08 | 0.00
-        table 2, key 20261125                        2048        1.000          2.7 m (mean 4.5 m)
+        table 2, the last cell of notebook 02        2000        1.000          2.8 m (mean 4.7 m)
 
     The finalists were compared on 2048 scenes, of which about 769 are fair and have three targets,
     and the winner was chosen on them: its shares there flatter it. The windows of table 2 have a
