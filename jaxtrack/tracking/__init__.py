@@ -22,6 +22,13 @@ from jaxtrack.tracking.lifecycle import (
     empty_table,
     grade,
 )
+from jaxtrack.tracking.moment_tracker import (
+    MomentParams,
+    MomentTrackerInfo,
+    MomentTrackerState,
+    moment_template,
+    moment_tracker,
+)
 from jaxtrack.tracking.motion_elements import ESTIMATORS, MotionElements, motion_elements
 from jaxtrack.tracking.sliding import SlidingInfo, sliding
 from jaxtrack.tracking.track import TRACKERS, TrackInfo, track
@@ -42,6 +49,9 @@ __all__ = [
     "KalmanTrackerParams",
     "KalmanTrackerState",
     "LifecycleParams",
+    "MomentParams",
+    "MomentTrackerInfo",
+    "MomentTrackerState",
     "MotionElements",
     "SlidingInfo",
     "TrackInfo",
@@ -55,6 +65,8 @@ __all__ = [
     "initiate_window",
     "kalman_paper",
     "kalman_tracker",
+    "moment_template",
+    "moment_tracker",
     "motion_elements",
     "sliding",
     "track",

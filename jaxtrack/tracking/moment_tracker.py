@@ -177,7 +177,7 @@ def moment_tracker(
 
     # A particle carries what its window showed: [x, y, angle, overflow].
     def initial(key: Key, size: int) -> Array:
-        at = places_m[1] + params.spread_m * jax.random.normal(key, (size, 2), dtype)
+        at = places_m[1:] + params.spread_m * jax.random.normal(key, (size, 2), dtype)
         return jnp.concatenate([at, jnp.zeros((size, 2), dtype)], axis=1)
 
     def jittered(key: Key, particles: Array, log_weight: Array) -> Resampled:
