@@ -76,7 +76,7 @@ def linked(
     near = (square <= jax.lax.stop_gradient(gap) ** 2) & here[:, None] & here[None, :]
     root = _roots(near)
 
-    own = here & (root == jnp.arange(number))
+    own = here & (root == jnp.arange(number, dtype=jnp.int32))
     belongs = (root[:, None] == root[None, :]) & here[None, :]  # [N, N], by the row's cluster
     count = belongs.sum(axis=1, dtype=jnp.int32)
     mass = (belongs.astype(dtype) * heavy[None, :]).sum(axis=1)
@@ -85,7 +85,8 @@ def linked(
     still_mass = jax.lax.stop_gradient(jnp.where(counts, mass, -1.0))
     _, first = jax.lax.top_k(still_mass, places)
     first = jnp.pad(first, (0, clusters - places))
-    live = jnp.arange(clusters) < counts.sum()
+    found = counts.sum(dtype=jnp.int32)
+    live = jnp.arange(clusters, dtype=jnp.int32) < found
     share = jnp.where(belongs[first], heavy[None, :], 0.0)
     even = belongs[first].astype(dtype)  # where no member has weight, all count alike
     share = jnp.where((share.sum(axis=1) > 0)[:, None], share, even)
@@ -97,7 +98,7 @@ def linked(
         jnp.where(live, count[first], 0),
         live,
         jnp.where(is_of.any(axis=0), jnp.argmax(is_of, axis=0), -1).astype(jnp.int32),
-        counts.sum() > clusters,
+        found > clusters,
     )
 
 
@@ -108,7 +109,7 @@ def _roots(near: Array) -> Array:
 
     def spread(state: tuple[Array, Array]) -> tuple[Array, Array]:
         root, _ = state
-        least = jnp.where(near, root[None, :], number).min(axis=1)
+        least = jnp.where(near, root[None, :], jnp.asarray(number, jnp.int32)).min(axis=1)
         # The root learns what its members found, and members follow their root.
         new = root.at[root].min(jnp.minimum(least, root))
         new = jnp.minimum(new[root], jnp.minimum(least, root))

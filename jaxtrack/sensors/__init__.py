@@ -21,6 +21,7 @@ from jaxtrack.sensors.mounting import (
     mounting_by_triangle,
     mounting_of_sightings,
 )
+from jaxtrack.sensors.ping_cloud import cloud_of_pings
 from jaxtrack.sensors.radar import Radar, clutter_per_scan, move, observe
 from jaxtrack.sensors.scanning_scenes import (
     MOTIONS,
@@ -100,6 +101,7 @@ __all__ = [
     "SonarSceneLimits",
     "beam_crossing",
     "beam_pattern",
+    "cloud_of_pings",
     "clutter_per_scan",
     "crossing_targets",
     "dragged_bucket",
