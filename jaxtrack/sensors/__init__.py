@@ -15,6 +15,13 @@ from jaxtrack.sensors.crossings import (
     situations,
 )
 from jaxtrack.sensors.echoes import Echo, echo_amplitudes, reverberate
+from jaxtrack.sensors.mounting import (
+    Mounting,
+    Sightings,
+    mounting_by_triangle,
+    mounting_of_sightings,
+)
+from jaxtrack.sensors.ping_cloud import cloud_of_pings
 from jaxtrack.sensors.radar import Radar, clutter_per_scan, move, observe
 from jaxtrack.sensors.scanning_scenes import (
     MOTIONS,
@@ -80,6 +87,7 @@ __all__ = [
     "EchoLooks",
     "EchoSensor",
     "Meeting",
+    "Mounting",
     "PingRun",
     "PingSizes",
     "Radar",
@@ -87,11 +95,13 @@ __all__ = [
     "ScanningSonar",
     "Scene",
     "SceneLimits",
+    "Sightings",
     "Situation",
     "SonarScene",
     "SonarSceneLimits",
     "beam_crossing",
     "beam_pattern",
+    "cloud_of_pings",
     "clutter_per_scan",
     "crossing_targets",
     "dragged_bucket",
@@ -102,6 +112,8 @@ __all__ = [
     "meeting_pings",
     "meeting_targets",
     "motion_elements_scene",
+    "mounting_by_triangle",
+    "mounting_of_sightings",
     "move",
     "observe",
     "observe_beams",

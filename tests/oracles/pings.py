@@ -79,3 +79,42 @@ def crossing(places, bearings, vehicles, headings, mount, beta):
         if off < best:
             best, ping = off, q
     return ping, best
+
+
+def cloud(sweep, threshold, scope, mount, beta, points):
+    """Return (position, intensity, weight, time) of loud cells, the nearest first, and overflow.
+
+    A sweep is a list of (time, bearing, vehicle, heading, amplitudes), None where there is no ping.
+    """
+    found = []
+    for ping in sweep:
+        if ping is None:
+            continue
+        time, bearing, vehicle, heading, row = ping
+        for r, a in enumerate(row):
+            if a >= threshold:
+                range_m = (r + 0.5) * scope / len(row)
+                at = frames.to_earth(range_m, bearing + beta, vehicle, heading, mount)
+                found.append((range_m, at, a, 1 - (threshold / a) ** 2, time))
+    found.sort(key=lambda cell: cell[0])
+    return [cell[1:] for cell in found[:points]], len(found) > points
+
+
+def linked(points, weights, gap, members):
+    """Return clusters (members' indices, mass, centre) by walking from point to point."""
+    left, clusters = set(range(len(points))), []
+    while left:
+        walk, cluster = [left.pop()], []
+        while walk:
+            here = walk.pop()
+            cluster.append(here)
+            near = {n for n in left if math.dist(points[n], points[here]) <= gap}
+            left -= near
+            walk += near
+        if len(cluster) >= members:
+            mass = sum(weights[n] for n in cluster)
+            centre = [
+                sum(weights[n] * points[n][axis] for n in cluster) / mass for axis in range(2)
+            ]
+            clusters.append((sorted(cluster), mass, centre))
+    return sorted(clusters, key=lambda cluster: -cluster[1])
