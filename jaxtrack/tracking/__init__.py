@@ -31,6 +31,14 @@ from jaxtrack.tracking.moment_tracker import (
 )
 from jaxtrack.tracking.motion_elements import ESTIMATORS, MotionElements, motion_elements
 from jaxtrack.tracking.ping_detection import PingDetection, PingDetectionInfo, detect_in_pings
+from jaxtrack.tracking.shape_tracker import (
+    ShapeParams,
+    ShapeTemplate,
+    ShapeTrackerInfo,
+    ShapeTrackerState,
+    shape_template,
+    shape_tracker,
+)
 from jaxtrack.tracking.sliding import SlidingInfo, sliding
 from jaxtrack.tracking.track import TRACKERS, TrackInfo, track
 from jaxtrack.tracking.window import METHODS, WindowInfo, initiate_window
@@ -56,6 +64,10 @@ __all__ = [
     "MotionElements",
     "PingDetection",
     "PingDetectionInfo",
+    "ShapeParams",
+    "ShapeTemplate",
+    "ShapeTrackerInfo",
+    "ShapeTrackerState",
     "SlidingInfo",
     "TrackInfo",
     "TrackTable",
@@ -72,6 +84,8 @@ __all__ = [
     "moment_template",
     "moment_tracker",
     "motion_elements",
+    "shape_template",
+    "shape_tracker",
     "sliding",
     "track",
 ]
