@@ -115,27 +115,31 @@ def look(key: Key, inputs: Inputs) -> Seen:
     return Seen(clouds, picked_m, stand_m, run.truth, overflow.any())
 
 
-def track_all(key: Key, seen: Seen) -> dict[str, Track]:
-    """Return what every tracker says of the same clouds, by method."""
+def track_all(key: Key, seen: Seen, kinds: tuple[str, ...] = tuple(FEATURES)) -> dict[str, Track]:
+    """Return what trackers say of the same clouds, by method: those of some kinds, and ours."""
     first = jax.tree.map(lambda x: x[:FIRST], seen.clouds)
     later = jax.tree.map(lambda x: x[FIRST:], seen.clouds)
     tracks = {}
-    for number, (name, (features, origin)) in enumerate(FEATURES.items()):
-        kinds = {"features": features, "origin": origin}
-        template = moment_template(first, seen.picked_m, **kinds)
-
-        def one(optimised: Array, template=template, kinds=kinds, number=number) -> Track:
-            tracker = moment_tracker(template, seen.picked_m[-2:], optimised=optimised, **kinds)
-            draw = jax.random.fold_in(jax.random.fold_in(key, number), optimised)
-            _, info = jax.lax.scan(tracker.step, tracker.init(draw), later)
-            return Track(info.position_m, info.particles, info.overflow)
-
-        # Both transitions in one program.
-        both = jax.lax.map(one, jnp.array([False, True]))
+    for name in kinds:
+        draw = jax.random.fold_in(key, list(FEATURES).index(name))
+        one = functools.partial(_paper, draw, seen, first, later, name)
+        both = jax.lax.map(one, jnp.array([False, True]))  # the transitions, in one program
         for place, word in enumerate(("", OPTIMISED)):
             tracks[name + word] = jax.tree.map(lambda x, k=place: x[k], both)
     tracks[OURS] = _ours(jax.random.fold_in(key, len(FEATURES)), seen, first, later)
     return tracks
+
+
+def _paper(key: Key, seen: Seen, first: Scan, later: Scan, name: str, optimised: Array) -> Track:
+    """Return the track of the paper's tracker, with one kind of features."""
+    features, origin = FEATURES[name]
+    template = moment_template(first, seen.picked_m, features=features, origin=origin)
+    tracker = moment_tracker(
+        template, seen.picked_m[-2:], features=features, origin=origin, optimised=optimised
+    )
+    draw = jax.random.fold_in(key, optimised)
+    _, info = jax.lax.scan(tracker.step, tracker.init(draw), later)
+    return Track(info.position_m, info.particles, info.overflow)
 
 
 def _ours(key: Key, seen: Seen, first: Scan, later: Scan) -> Track:

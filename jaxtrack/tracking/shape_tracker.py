@@ -24,12 +24,12 @@ class ShapeParams(NamedTuple):
     radius_m: Array | float = 1.0  # [] of template and windows
     taper: Array | float = 0.5  # [] share of the radius over which points fade
     spread_m: Array | float = 0.1  # [] of the first places, each coordinate
-    speed_m_s: Array | float = 0.1  # [] of the first velocities, each coordinate
+    speed_m_s: Array | float = 0.03  # [] of the first velocities, each coordinate
     shake_m: Array | float = 0.1  # [] of a place, a step, each coordinate
-    change_m_s: Array | float = 0.02  # [] of a velocity, a step, each coordinate
-    sigma: Array | float = 0.3  # [] of a moment about the template's
+    change_m_s: Array | float = 0.015  # [] of a velocity, a step, each coordinate
+    sigma: Array | float = 0.4  # [] of a moment about the template's
     mass_sigma: Array | float = 1.0  # [] of the log of the mass
-    floor: Array | float = 0.01  # [] likelihood of a window that shows something else
+    floor: Array | float = 1e-4  # [] likelihood of a window that shows something else
 
 
 class ShapeTemplate(NamedTuple):
@@ -80,7 +80,7 @@ def shape_template(
         >>> clouds = Scan(jnp.arange(3.0), jnp.ones(3, bool), at, jnp.ones((3, 3), bool))
         >>> template = shape_template(clouds, jnp.zeros((3, 2)))
         >>> print(template.moments.shape, template.mass.round(2), template.velocity_m_s)
-        (7,) 2.99 [0. 0.]
+        (7,) 3.0 [0. 0.]
     """
     check_array("places_m", places_m, shape=(clouds.mask.shape[0], 2))
     places = clouds.mask.shape[1]
@@ -142,7 +142,12 @@ def shape_tracker(
         True
 
     Note:
-        Ours; no paper has it.
+        Ours; no paper has it. Against the paper's tracker three things count: phases say which way
+        the window is off, a velocity lets steps be small, and a floor keeps looks that show little
+        from weighing much. The defaults were found on 32 runs of each scene of
+        `sensors.dragged_bucket` at its own settings, trying σ from .15 (loses a tenth of the
+        targets) to .6, floors from .01 to 1e-4, and changes of velocity from .01 to .02 m/s; the
+        study `moment_tracking` reports on other runs, and on other speeds and distances.
     """
     check_array("template.moments", template.moments.real, shape=(len(LOW_ORDERS),))
     check_array("template.place_m", template.place_m, shape=(2,))
@@ -158,8 +163,8 @@ def shape_tracker(
     # A particle carries what its window showed: [x, y, vx, vy, log likelihood, overflow].
     def initial(key: Key, size: int) -> Array:
         draw = jax.random.normal(key, (size, 4), dtype)
-        place = template.place_m + params.spread_m * draw[:, :2]
-        velocity = template.velocity_m_s + params.speed_m_s * draw[:, 2:]
+        place = template.place_m[None] + params.spread_m * draw[:, :2]
+        velocity = template.velocity_m_s[None] + params.speed_m_s * draw[:, 2:]
         return jnp.concatenate([place, velocity, jnp.zeros((size, 2), dtype)], axis=1)
 
     def build(state_s: Array) -> Estimator:
@@ -212,7 +217,7 @@ def shape_features(
         >>> cloud = Scan(jnp.array(0.0), jnp.array(True), at, jnp.ones(3, bool))
         >>> _, mass, _ = shape_features(cloud, jnp.array([[0.0, 0.0], [9.0, 0.0]]), ShapeParams(), most=3)
         >>> print(mass.round(2))
-        [2.99 0.  ]
+        [3. 0.]
     """  # noqa: E501
     dtype = centres_m.dtype
     weight = cloud.mask.astype(dtype)
@@ -244,9 +249,10 @@ def shape_log_likelihood(
         >>> template = ShapeTemplate(z, jnp.array(2.0), jnp.zeros(2), jnp.zeros(2), jnp.array(0.0))
         >>> seen = shape_log_likelihood(jnp.stack([z, z]), jnp.array([2.0, 0.0]), template, ShapeParams())
         >>> print(seen.round(3))
-        [ 0.    -4.605]
+        [ 0.   -9.21]
     """  # noqa: E501
-    apart = ((moments - template.moments).real ** 2 + (moments - template.moments).imag ** 2).sum(1)
+    off = moments - template.moments[None]
+    apart = (off.real**2 + off.imag**2).sum(1)
     there = mass > 0
     light = jnp.log(jnp.where(there, mass, 1.0) / template.mass)
     fits = -apart / (2 * params.sigma**2) - light**2 / (2 * params.mass_sigma**2)
