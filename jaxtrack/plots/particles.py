@@ -14,7 +14,7 @@ from matplotlib.patches import Circle
 from jaxtrack.plots.style import COLOURS, INK, MARKERS, WIDTH_IN, dress, style
 from jaxtrack.types import Scan
 
-_POINTS = {"color": "#777777", "s": 3, "linewidths": 0}
+_POINTS = {"color": INK, "s": 5, "linewidths": 0, "zorder": 3}
 
 
 def template_frames(
@@ -71,7 +71,7 @@ def pursuit(
         position_m: [T, 2] estimates.
         particles_m: [T, N, 2].
         until: the number of frames of each panel, whose last one's points and particles are shown.
-        vehicle_m: [T, 2] of the sonar's carrier.
+        vehicle_m: [T, 2] of the sonar's carrier, drawn if it comes near.
         title: of the figure.
 
     Example:
@@ -102,17 +102,18 @@ def pursuit(
             )
             dashed = {"color": INK, "ls": (0, (4, 2)), "lw": 0.9}
             axes.plot(*truth[:count, ::-1].T, **dashed, label="truth")
+            axes.plot(*truth[last, ::-1], "x", color=INK, ms=7, mew=1.6, zorder=5)
             axes.plot(
                 *position[:count, ::-1].T, "o-", color=COLOURS[1], ms=2.5, lw=1.0, label="estimate"
             )
-            if vehicle_m is not None:
+            if vehicle_m is not None and _within(vehicle_m, low, high):
                 path = np.asarray(vehicle_m)[:count, ::-1]
                 axes.plot(*path.T, color=COLOURS[3], lw=1.2, label="vehicle")
             axes.set_xlim(low[1], high[1])
             axes.set_ylim(low[0], high[0])
             _map(axes, f"{count} frame{'s' if count > 1 else ''}")
         handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=5)
+        figure.legend(handles, labels, loc="outside lower center", ncols=5, markerscale=2)
         figure.suptitle(title, x=0.01, ha="left", fontweight="bold", fontsize=10)
     return figure
 
@@ -208,6 +209,11 @@ def turned_steps(steps_m: Any, turned_m: Any, apart_m: Any, *, title: str = "") 
 
 def _seen(clouds: Scan, frame: int) -> np.ndarray:
     return np.asarray(clouds.position_m)[frame][np.asarray(clouds.mask)[frame]]
+
+
+def _within(path_m: Any, low: np.ndarray, high: np.ndarray) -> bool:
+    path = np.asarray(path_m)
+    return bool(((path >= low) & (path <= high)).all(1).any())
 
 
 def _map(axes: Axes, title: str, *, adjustable: Any = "box") -> None:

@@ -48,9 +48,9 @@ def tables(scores: xr.Dataset, scenes: Sequence[str]) -> list[Table]:
         scenes: cells that are scenes; the others are of sweeps.
     """
     return [
-        _distances(scores, scenes, "Scenes"),
+        *_distances(scores, scenes, "Scenes"),
         _deviations(scores),
-        *([_distances(scores, rest, "Sweeps")] if (rest := _rest(scores, scenes)) else []),
+        *(_distances(scores, rest, "Sweeps") if (rest := _rest(scores, scenes)) else []),
         _claims(scores),
     ]
 
@@ -59,22 +59,25 @@ def _rest(scores: xr.Dataset, scenes: Sequence[str]) -> list[str]:
     return [str(name) for name in scores.cell.values if str(name) not in scenes]
 
 
-def _distances(scores: xr.Dataset, cells: Sequence[str], what: str) -> Table:
+def _distances(scores: xr.Dataset, cells: Sequence[str], what: str) -> list[Table]:
+    """Return a table a measure."""
+    measures = {
+        "median S, m": lambda *at: median(s_m(scores, *at)),
+        "median S from the side, m": lambda *at: median(s_m(scores, *at, side=True)),
+        "mean S, m": lambda *at: mean_of(s_m(scores, *at)),
+        "share lost": lambda *at: _lost(scores, *at),
+    }
     methods = [str(name) for name in scores.tracker.values]
-    lines = []
-    for method in methods:
-        line = []
-        for cell in cells:
-            each, lost = s_m(scores, cell, method), is_lost(scores, cell, method)
-            middle, mean = median(each, "m"), mean_of(each)
-            share = rate(float(lost.sum()), len(lost))
-            line.append(
-                f"{_spread(middle)}\n{_spread(mean)}\n{number(share.value)} ± "
-                f"{number(_half(share))}\n{median(s_m(scores, cell, method, side=True)).value:.2f}"
-            )
-        lines.append(line)
-    title = f"{what}: median S, mean S in m, share lost, each ± standard error; median S beside"
-    return grid_table(f"{title} the side", methods, cells, lines, trials=scores.sizes["trial"])
+    return [
+        grid_table(
+            f"{what}: {name}, ± standard error",
+            methods,
+            cells,
+            [[_spread(of(cell, method)) for cell in cells] for method in methods],
+            trials=scores.sizes["trial"],
+        )
+        for name, of in measures.items()
+    ]
 
 
 def _deviations(scores: xr.Dataset) -> Table:
