@@ -1,7 +1,7 @@
 """Clusters of points that a gap parts from each other: single linkage, cut at a distance.
 
 Two points are of one cluster if a chain of points leads from one to the other in steps of at most
-the gap. How many clusters there are comes out, not in.
+the gap, or of the larger of two points' own gaps. How many clusters there are comes out, not in.
 """
 
 from typing import NamedTuple
@@ -41,7 +41,7 @@ def linked(
 
     Args:
         points: [N, D], N ≥ 1.
-        gap: > 0, in the unit of the points.
+        gap: > 0, in the unit of the points: one, or [N] each point's own.
         weights: [N] ≥ 0, of the points in centres and masses; None: all alike.
         mask: [N] which points exist; None: all.
         members: clusters of fewer are none. Traced.
@@ -67,13 +67,17 @@ def linked(
     check_mask("mask", here, shape=(number,))
     heavy = jnp.ones(number, dtype) if weights is None else weights
     check_array("weights", heavy, shape=(number,))
-    gap = check_positive("gap", gap, dtype)
+    gaps = check_positive("gap", gap, dtype)
+    check_array("gap", gaps, shape=(number,) if jnp.ndim(gaps) else ())
+    gaps = jax.lax.stop_gradient(jnp.broadcast_to(gaps, (number,)))
 
     clean = jnp.where(here[:, None], points, 0.0)
     heavy = jnp.where(here, heavy, 0.0).astype(dtype)
     still = jax.lax.stop_gradient(clean)
     square = sum((x[:, None] - x[None, :]) ** 2 for x in still.T)
-    near = (square <= jax.lax.stop_gradient(gap) ** 2) & here[:, None] & here[None, :]
+    near = (
+        (square <= jnp.maximum(gaps[:, None], gaps[None, :]) ** 2) & here[:, None] & here[None, :]
+    )
     root = _roots(near)
 
     own = here & (root == jnp.arange(number, dtype=jnp.int32))

@@ -38,6 +38,7 @@ def pings_map(
         ValueError: unknown axes, a shape that does not fit, or a window without a true target.
 
     Example:
+        >>> import jax
         >>> from jaxtrack.sensors import IMAGENEX_881L, dragged_bucket
         >>> run = dragged_bucket(jax.random.key(0), "static", frames=1)
         >>> sweep = jax.tree.map(lambda x: x[0], run.pings)

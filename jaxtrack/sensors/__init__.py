@@ -22,6 +22,7 @@ from jaxtrack.sensors.mounting import (
     mounting_of_sightings,
 )
 from jaxtrack.sensors.ping_cloud import cloud_of_pings
+from jaxtrack.sensors.pings import Cylinders, Dike, beam_pattern, observe_pings
 from jaxtrack.sensors.radar import Radar, clutter_per_scan, move, observe
 from jaxtrack.sensors.scanning_scenes import (
     MOTIONS,
@@ -36,14 +37,10 @@ from jaxtrack.sensors.scanning_sonar import (
     IMAGENEX_881L,
     SUPER_SEAKING_HIGH,
     SUPER_SEAKING_LOW,
-    Cylinders,
-    Dike,
     PingSizes,
     ScanningPreset,
     ScanningSonar,
-    beam_pattern,
     drifting_pose,
-    observe_pings,
     sweeps,
 )
 from jaxtrack.sensors.scenes import (

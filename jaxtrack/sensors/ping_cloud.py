@@ -43,8 +43,8 @@ def cloud_of_pings(
         ...               jnp.ones(2, bool), pose)
         >>> sonar = ScanningSonar(range_max_m=4.0, mount_m=(0.0, 0.0), mount_rad=0.0)
         >>> scan, overflow = cloud_of_pings(pings, sonar, points=3)
-        >>> print(jnp.linalg.norm(scan.position_m, axis=1).round(3), scan.mask, scan.delay_s)
-        [1. 3. 0.] [ True  True False] [1. 0. 0.]
+        >>> print(*(f"{x:.1f}" for x in jnp.linalg.norm(scan.position_m, axis=1)), scan.mask)
+        1.0 3.0 0.0 [ True  True False]
 
     Source: Zernike moment paper (2023), figure 3 and equation 6.
     """

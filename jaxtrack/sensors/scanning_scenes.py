@@ -13,15 +13,13 @@ import jax.numpy as jnp
 from jaxtrack.models.frames import earth_to_polar
 from jaxtrack.numerics.checks import check_array, check_choice, check_mask, check_size
 from jaxtrack.sensors.crossings import Meeting, meeting_targets
+from jaxtrack.sensors.pings import Cylinders, Dike, observe_pings
 from jaxtrack.sensors.scanning_sonar import (
     IMAGENEX_881L,
     SUPER_SEAKING_LOW,
-    Cylinders,
-    Dike,
     ScanningPreset,
     ScanningSonar,
     drifting_pose,
-    observe_pings,
     sweeps,
 )
 from jaxtrack.types import Array, Key, Pings, Pose, Truth

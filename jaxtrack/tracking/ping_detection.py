@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from jaxtrack.clustering.linkage import Clusters, linked
 from jaxtrack.numerics.checks import check_positive
-from jaxtrack.numerics.masked import masked_max
+from jaxtrack.numerics.masked import masked_max, masked_mean
 from jaxtrack.numerics.safe import safe_divide, safe_norm
 from jaxtrack.sensors.ping_cloud import cloud_of_pings
 from jaxtrack.sensors.scanning_sonar import ScanningSonar
@@ -22,7 +22,8 @@ class PingDetection(NamedTuple):
     """What counts as a target. Traced."""
 
     threshold: Array | float = 4.0  # γ of a cell's intensity
-    gap_m: Array | float = 0.8  # between points of one cluster, at most
+    gap_m: Array | float = 0.6  # between points of one cluster, at most …
+    gap_steps: Array | float = 1.5  # … or this many of the sonar's steps at their range
     members: Array | int = 3  # of a cluster, at least
     reach_m: Array | float = 1.5  # of a cluster from its centre, at most: a dike is larger
 
@@ -61,6 +62,7 @@ def detect_in_pings(
         TypeError: a mask of numbers, a size that is no int.
 
     Example:
+        >>> import jax
         >>> from jaxtrack.sensors import dragged_bucket, IMAGENEX_881L
         >>> run = dragged_bucket(jax.random.key(0), "static", frames=1)
         >>> sweep = jax.tree.map(lambda x: x[0], run.pings)
@@ -75,15 +77,19 @@ def detect_in_pings(
     """
     params = PingDetection() if params is None else params
     cloud, crowded = cloud_of_pings(pings, sonar, params.threshold, points=points)
+    dtype = cloud.position_m.dtype
+    # A sweep's poses are all but one place, seen from where the beams stand wide apart.
+    stand_m = masked_mean(pings.pose.position_m, pings.mask[:, None], axis=0)
+    beams_m = jnp.asarray(sonar.step_rad, dtype) * safe_norm(cloud.position_m - stand_m[None])
+    gap_m = check_positive("params.gap_m", params.gap_m, dtype)
     found = linked(
         cloud.position_m,
-        params.gap_m,
+        jnp.maximum(gap_m, jnp.asarray(params.gap_steps, dtype) * beams_m),
         weights=cloud.weight,
         mask=cloud.mask,
         members=params.members,
         clusters=clusters,
     )
-    dtype = cloud.position_m.dtype
     reach_m = check_positive("params.reach_m", params.reach_m, dtype)
     belongs = found.label[None, :] == jnp.arange(clusters, dtype=jnp.int32)[:, None]
     apart_m = safe_norm(cloud.position_m[None] - found.centre[:, None])

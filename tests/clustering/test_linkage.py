@@ -31,12 +31,22 @@ def test_clusters_are_those_of_a_walk(gap):
     for _ in range(12):
         points, weights = rng.uniform(0.0, 10.0, (60, 2)), rng.uniform(0.1, 1.0, 60)
         for members in (1, 3):
-            expected = oracle.linked(points, weights, gap, members)
+            expected = oracle.linked(points, weights, [gap] * 60, members)
             found = run(
                 jnp.asarray(points), gap, weights=jnp.asarray(weights), members=members, clusters=60
             )
             assert_same(found, expected, 60)
             assert not found.overflow
+
+
+def test_of_two_points_the_larger_gap_counts():
+    rng = np.random.default_rng(9)
+    points, weights = rng.uniform(0.0, 10.0, (60, 2)), rng.uniform(0.1, 1.0, 60)
+    gaps = rng.uniform(0.2, 1.3, 60)
+    found = run(jnp.asarray(points), jnp.asarray(gaps), weights=jnp.asarray(weights), clusters=60)
+    assert_same(found, oracle.linked(points, weights, gaps, 1), 60)
+    with pytest.raises(ValueError, match=r"gap: got shape \[2\], want \[60\]"):
+        linked(jnp.asarray(points), jnp.ones(2))
 
 
 def test_long_chains_in_any_order_are_one_cluster():
@@ -60,7 +70,7 @@ def test_masks_permutation_padding_and_places():
     rng = np.random.default_rng(3)
     points, weights = rng.uniform(0.0, 6.0, (40, 2)), rng.uniform(0.1, 1.0, 40)
     mask = rng.uniform(size=40) < 0.7
-    expected = oracle.linked(points[mask], weights[mask], 0.7, 2)
+    expected = oracle.linked(points[mask], weights[mask], [0.7] * 40, 2)
     dirty = jnp.asarray(np.where(mask[:, None], points, np.nan))
     heavy = jnp.asarray(np.where(mask, weights, np.nan))
     found = run(dirty, 0.7, weights=heavy, mask=jnp.asarray(mask), members=2, clusters=30)

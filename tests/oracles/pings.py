@@ -100,7 +100,7 @@ def cloud(sweep, threshold, scope, mount, beta, points):
     return [cell[1:] for cell in found[:points]], len(found) > points
 
 
-def linked(points, weights, gap, members):
+def linked(points, weights, gaps, members):
     """Return clusters (members' indices, mass, centre) by walking from point to point."""
     left, clusters = set(range(len(points))), []
     while left:
@@ -108,7 +108,8 @@ def linked(points, weights, gap, members):
         while walk:
             here = walk.pop()
             cluster.append(here)
-            near = {n for n in left if math.dist(points[n], points[here]) <= gap}
+            apart = {n: math.dist(points[n], points[here]) for n in left}
+            near = {n for n, d in apart.items() if d <= max(gaps[n], gaps[here])}
             left -= near
             walk += near
         if len(cluster) >= members:
