@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxtrack.studies.moment_trial import FIRST, OPTIMISED, OURS, Seen, Track
@@ -52,9 +53,9 @@ def draw(
 def _turned() -> Any:
     from jaxtrack import plots
 
-    steps = np.random.default_rng(0).normal(size=(400, 2))
-    apart = np.array(_APART_M)
-    turned = np.asarray(jax.vmap(aligned, (0, None))(steps, apart))
+    steps = jax.random.normal(jax.random.key(0), (400, 2))
+    apart = jnp.asarray(_APART_M, steps.dtype)
+    turned = jax.vmap(aligned, (0, None))(steps, apart)
     title = "Steps of particles when the target moved by the arrow"
     return plots.turned_steps(steps, turned, apart, title=title)
 

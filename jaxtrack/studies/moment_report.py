@@ -157,14 +157,14 @@ def s_m(scores: xr.Dataset, cell: str, method: str, *, side: bool = False) -> np
     """Return S of every run, [trial]; `side`: from what faces the vehicle, not from the middle."""
     name = "side_error_m" if side else "error_m"
     error_m = scores[name].sel(cell=cell, tracker=method)
-    crossed = scores.crossed.sel(cell=cell)
-    return np.sqrt((error_m**2).sum("axis")).where(crossed).mean("look").values
+    gap_m = (error_m**2).sum("axis") ** 0.5
+    return gap_m.where(scores.crossed.sel(cell=cell)).mean("look").values
 
 
 def is_lost(scores: xr.Dataset, cell: str, method: str) -> np.ndarray:
     """Return which runs are lost, [trial]."""
     error_m = scores.error_m.sel(cell=cell, tracker=method).isel(look=slice(-_LAST, None))
-    return (np.sqrt((error_m**2).sum("axis")).mean("look") > _FAR_M).values
+    return (((error_m**2).sum("axis") ** 0.5).mean("look") > _FAR_M).values
 
 
 def median(values: np.ndarray, unit: str = "") -> Figure:

@@ -116,7 +116,7 @@ def moment_tracker(
     *,
     features: str = "zernike",
     origin: str = "particle",
-    optimised: bool = True,
+    optimised: Array | bool = True,
     particles: int = 120,
     most: int = 256,
 ) -> Estimator[Scan, MomentTrackerState, MomentTrackerInfo]:
@@ -130,7 +130,7 @@ def moment_tracker(
         params: radius, steps and weights.
         features: one of `FEATURES`: the paper's Zernike moments, a set of low orders, or Hu's.
         origin: of the moments, `"particle"` or the `"centroid"` of its points. Static.
-        optimised: the paper's optimised transition; otherwise steps have no direction. Static.
+        optimised: [] the paper's optimised transition; False: steps have no direction.
         particles: N. Static.
         most: places for points around the particles, which `overflow` says are too few. Static.
 

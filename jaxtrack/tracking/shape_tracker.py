@@ -168,20 +168,20 @@ def shape_tracker(
         return jnp.concatenate([place, velocity, jnp.zeros((size, 2), dtype)], axis=1)
 
     def build(state_s: Array) -> Estimator:
-        def transition(key: Key, before: Array, cloud: Scan) -> Array:
-            elapsed_s = (cloud.time_s - state_s).astype(dtype)
-            draw = jax.random.normal(key, (particles, 4), dtype)
-            velocity = before[:, 2:4] + params.change_m_s * draw[:, 2:]
-            mean = (before[:, 2:4] + velocity) / 2
-            place = before[:, :2] + elapsed_s * mean + params.shake_m * draw[:, :2]
-            moments, mass, crowded = shape_features(cloud, place, params, most=most)
+        def transition(key: Key, particles: Array, observation: Scan) -> Array:
+            elapsed_s = (observation.time_s - state_s).astype(dtype)
+            draw = jax.random.normal(key, (len(particles), 4), dtype)
+            velocity = particles[:, 2:4] + params.change_m_s * draw[:, 2:]
+            mean = (particles[:, 2:4] + velocity) / 2
+            place = particles[:, :2] + elapsed_s * mean + params.shake_m * draw[:, :2]
+            moments, mass, crowded = shape_features(observation, place, params, most=most)
             told = shape_log_likelihood(moments, mass, template, params)
             full = jnp.broadcast_to(crowded, told.shape).astype(dtype)
             return jnp.concatenate([place, velocity, told[:, None], full[:, None]], axis=1)
 
         return particle_filter(
             transition,
-            lambda particles, _: particles[:, 4],
+            lambda particles, observation: particles[:, 4],
             systematic,
             particles=particles,
             initial=initial,
