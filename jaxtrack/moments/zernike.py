@@ -120,7 +120,7 @@ def _moments(xy: Array, weight: Array, orders: Orders, radius: Array | float) ->
     dtype = xy.dtype
     radius = check_positive("radius", radius, dtype)
     z = xy / radius
-    highest = max((n for n, _ in orders), default=0)
+    highest = max(n for n, _ in orders)
     sums = _explicit if highest <= _EXPLICIT else _recurrent
     mass, real, imaginary = sums(z[:, 0], z[:, 1], weight, orders)
     # Dividing by the mass as a number first keeps its square, which may overflow, out of the
@@ -142,7 +142,7 @@ def _explicit(x: Array, y: Array, w: Array, orders: Orders) -> tuple[Array, Arra
     """
     u = 2 * (x * x + y * y) - 1
     powers = [(jnp.ones_like(x), jnp.zeros_like(x))]
-    for _ in range(max((abs(m) for _, m in orders), default=0)):
+    for _ in range(max(abs(m) for _, m in orders)):
         a, b = powers[-1]
         powers.append((a * x - b * y, a * y + b * x))
     terms = [w]
@@ -153,8 +153,7 @@ def _explicit(x: Array, y: Array, w: Array, orders: Orders) -> tuple[Array, Arra
             value = value * u + coefficient
         terms += [w * value * part for part in powers[abs(m)]]
     mass, *parts = totals(*terms)
-    shape = (len(orders),)
-    return mass, jnp.stack(parts[::2]).reshape(shape), jnp.stack(parts[1::2]).reshape(shape)
+    return mass, jnp.stack(parts[::2]), jnp.stack(parts[1::2])
 
 
 def _recurrent(x: Array, y: Array, w: Array, orders: Orders) -> tuple[Array, Array, Array]:
@@ -215,13 +214,14 @@ def check_orders(orders: Orders) -> Orders:
     """Return the orders of Zernike moments.
 
     Raises:
-        ValueError: an n and m that there is no polynomial of, or above 40.
+        ValueError: none, or an n and m that there is no polynomial of, or above 40.
         TypeError: not ints.
 
     Example:
         >>> check_orders(((3, 1), (4, -2)))
         ((3, 1), (4, -2))
     """
+    check_size("number of orders", len(orders))
     for place, (n, m) in enumerate(orders):
         check_size(f"orders[{place}], n", n, at_least=0)
         check_size(f"orders[{place}], m", m, at_least=-HIGHEST)

@@ -61,7 +61,7 @@ def test_images_agree_with_opencv():
 
 def test_moving_turning_and_scaling():
     xy, weight = cloud(1)
-    base = run(xy, weight)
+    base = np.asarray(run(xy, weight))
     assert np.abs(base).min() > 1e-6
     for angle in (0.4, 2.1, -3.0):
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

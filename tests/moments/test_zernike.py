@@ -109,7 +109,7 @@ def test_turning_mirroring_and_scaling():
     orders = (*TO_NINE, (12, 4), (13, -5))
     m = np.array([m for _, m in orders])
     run = compiled(orders)
-    base = run(xy, weight, 2.5)
+    base = np.asarray(run(xy, weight, 2.5))
     assert np.abs(base).min() > 1e-3
     for angle in (0.4, 2.1, -3.0):
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -230,10 +230,9 @@ def test_nothing_is_nan_whatever_the_points(kind, dtype):
     assert not found[1][1][outside].any()
 
 
-def test_no_points_and_no_orders():
+def test_no_points_are_nothing():
     none = moments.zernike(jnp.zeros((0, 2)), jnp.zeros(0), orders=PAPER_ORDERS, radius=1.0)
     np.testing.assert_array_equal(none, np.zeros(7))
-    assert moments.zernike(*map(jnp.asarray, cloud(0)), orders=(), radius=1.0).shape == (0,)
 
 
 def test_errors_name_the_argument():
@@ -248,6 +247,8 @@ def test_errors_name_the_argument():
     for wrong in ((3, 2), (2, 4), (42, 0)):
         with pytest.raises(ValueError, match=r"orders\[1\]: got .*, want \|m\| ≤ n ≤ 40"):
             run(xy, weight, orders=((1, 1), wrong))
+    with pytest.raises(ValueError, match="number of orders: got 0"):
+        run(xy, weight, orders=())
     with pytest.raises(TypeError, match=r"orders\[0\], n: got float"):
         run(xy, weight, orders=((1.0, 1),))
     for wrong in (0.0, 1.5, float("nan")):
