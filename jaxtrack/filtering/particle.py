@@ -116,7 +116,7 @@ def effective_size(log_weight: Array) -> Array:
         >>> print(effective_size(jnp.log(jnp.array([0.5, 0.5, 0.0]))).round(3))
         2.0
 
-    Source: Zernike-moment particle filter (2023), section 2.3.5.
+    Source: Zernike-moment particle filter (2023), equation 32.
     """
     return 1 / (jnp.exp(normalized(log_weight)) ** 2).sum()
 

@@ -170,7 +170,7 @@ def test_gradients_are_finite_behind_invalid_looks():
     for gradient in jax.jit(jax.grad(loss, argnums=(0, 1)))(seen.place, seen.noise):
         assert np.isfinite(gradient).all()
         np.testing.assert_array_equal(gradient[1::2], 0.0)
-        assert (np.abs(gradient[::2]) > 0).any(axis=-1).all()
+        assert all(np.abs(gradient[k]).max() > 1e-3 for k in range(0, LOOKS, 2))
 
 
 def test_what_is_no_number_weighs_nothing_and_is_flagged():
