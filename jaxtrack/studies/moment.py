@@ -36,6 +36,7 @@ from jaxtrack.types import Key
 
 _DIKE_M = 80.0  # in sweeps, for fast targets go far
 _FRAME_S = 6.06
+_FEWER = 4  # a sweep's cell has so many times fewer runs than a scene's
 
 
 class Cell(NamedTuple):
@@ -79,16 +80,11 @@ def run(context: Context) -> None:
     say = context.console.print
     # Sweeps are more of the same program: a smoke run shows nothing by them.
     smoke = context.trials < SMOKE_BELOW
-    every = scenes() if smoke else scenes() | sweeps()
-    outcomes: dict[str, Outcome] = {}
-    for place, (name, cell) in enumerate(every.items()):
-        report = functools.partial(context.progress, name)
-        key = context.key(place)
-        outcomes[name] = parts.run_part(
-            context, name, trial, key, context.trials, _inputs(cell), report
-        )
-    scores = dataset(outcomes)
-    for table in moment_report.tables(scores, list(scenes())):
+    found = {"scenes": _table(context, scenes(), context.trials, 0)}
+    if not smoke:
+        found["sweeps"] = _table(context, sweeps(), max(context.trials // _FEWER, SMOKE_BELOW), 1)
+    scores = found["scenes"]
+    for table in moment_report.tables(scores, found.get("sweeps")):
         say(table)
     full = scores.overflow.mean().item(), scores.crowded.mean().item()
     say(f"Runs with more points than places: {full[0]:.3f} around particles, {full[1]:.3f} in all")
@@ -101,15 +97,25 @@ def run(context: Context) -> None:
         "trials": context.trials,
         "marks": [entry(row) for row in rows],
     }
-    store.save(context.out, {"scores": scores}, summary)
+    store.save(context.out, found, summary)
     shown = jax.jit(_shown)
     runs = {}
     for name in list(moment_figures.SHOWN)[-1:] if smoke else moment_figures.SHOWN:
-        key = jax.random.fold_in(context.key(list(every).index(name)), 0)
-        runs[name] = jax.tree.map(np.asarray, shown(key, _inputs(every[name])))
+        key = jax.random.fold_in(context.key(list(scenes()).index(name)), 0)
+        runs[name] = jax.tree.map(np.asarray, shown(key, _inputs(scenes()[name])))
     report = functools.partial(context.progress, "figures")
     moment_figures.draw(context.out, runs, report)
     parts.forget_parts(context)
+
+
+def _table(context: Context, cells: Mapping[str, Cell], trials: int, group: int) -> xr.Dataset:
+    """Return the scores of cells, each with random numbers of its own."""
+    outcomes: dict[str, Outcome] = {}
+    for place, (name, cell) in enumerate(cells.items()):
+        key = context.key(place + group * len(SCENES))
+        report = functools.partial(context.progress, name)
+        outcomes[name] = parts.run_part(context, name, trial, key, trials, _inputs(cell), report)
+    return dataset(outcomes)
 
 
 def dataset(outcomes: Mapping[str, Outcome]) -> xr.Dataset:

@@ -5,8 +5,6 @@ a run is lost if its last five are farther than 3 m on average. Trackers that fo
 bucket that echoes are .29 m short of its middle: S beside it counts from there, for all alike.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 import xarray as xr
 from rich.table import Table
@@ -40,27 +38,24 @@ def cell_name(motion: str, surroundings: str) -> str:
     return f"{motion}, {surroundings.replace('_', ' ')}"
 
 
-def tables(scores: xr.Dataset, scenes: Sequence[str]) -> list[Table]:
+def tables(scores: xr.Dataset, sweeps: xr.Dataset | None = None) -> list[Table]:
     """Return distances and losses, deviations beside the paper's, the sweeps, and its claims.
 
     Args:
-        scores: [cell, trial, tracker], see `moment.dataset`.
-        scenes: cells that are scenes; the others are of sweeps.
+        scores: of the scenes, [cell, trial, tracker], see `moment.dataset`.
+        sweeps: likewise; None: not made.
     """
     return [
-        *_distances(scores, scenes, "Scenes"),
+        *_distances(scores, "Scenes"),
         _deviations(scores),
-        *(_distances(scores, rest, "Sweeps") if (rest := _rest(scores, scenes)) else []),
+        *(_distances(sweeps, "Sweeps") if sweeps is not None else []),
         _claims(scores),
     ]
 
 
-def _rest(scores: xr.Dataset, scenes: Sequence[str]) -> list[str]:
-    return [str(name) for name in scores.cell.values if str(name) not in scenes]
-
-
-def _distances(scores: xr.Dataset, cells: Sequence[str], what: str) -> list[Table]:
+def _distances(scores: xr.Dataset, what: str) -> list[Table]:
     """Return a table a measure."""
+    cells = [str(name) for name in scores.cell.values]
     measures = {
         "median S, m": lambda *at: median(s_m(scores, *at)),
         "median S from the side, m": lambda *at: median(s_m(scores, *at, side=True)),

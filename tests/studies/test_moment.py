@@ -96,7 +96,7 @@ def test_every_printed_figure_has_a_tracker_and_table_8_is_as_printed():
 
 def test_tables_say_what_holds():
     scores = made_up(lost=HELPS)
-    *_, claims = moment_report.tables(scores, list(scores.cell.values))
+    *_, claims = moment_report.tables(scores, scores)
     first = [column._cells[0] for column in claims.columns][1:]
     assert all(cell.startswith("holds") for cell in first)
     hu = [column._cells[5] for column in claims.columns][1:]
