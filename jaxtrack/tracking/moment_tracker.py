@@ -149,8 +149,9 @@ def moment_tracker(
         >>> clouds = Scan(t, jnp.ones(8, bool), at, jnp.ones((8, 40), bool))
         >>> places = at.mean(1)
         >>> first = jax.tree.map(lambda x: x[:3], clouds)
-        >>> template = moment_template(first, places[:3])
-        >>> tracker = moment_tracker(template, places[1:3])
+        >>> low = {"features": "low_zernike"}
+        >>> template = moment_template(first, places[:3], **low)
+        >>> tracker = moment_tracker(template, places[1:3], **low)
         >>> later = jax.tree.map(lambda x: x[3:], clouds)
         >>> _, info = jax.lax.scan(tracker.step, tracker.init(jax.random.key(1)), later)
         >>> print((jnp.linalg.norm(info.position_m - places[3:], axis=1) < 0.5).all())
