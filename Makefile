@@ -35,6 +35,7 @@ lint: $(DEV) ## style, types, layers, notebooks without outputs
 
 bench: $(DEV) ## ours against NumPy, the paper's times and other libraries
 	$(BIN)/python benchmarks/initiators.py
+	$(BIN)/python benchmarks/moments.py
 	$(BIN)/python benchmarks/sonar.py
 	$(BIN)/python benchmarks/trackers.py
 

@@ -5,6 +5,7 @@
 
     models        how targets move and how they are seen
     clustering    fuzzy clustering of weighted samples
+    moments       features of point clouds and images that turning leaves alone
     filtering     recursive estimators
     association   which detections are which track's
     montecarlo    any of it, for thousands of trials in one compiled program
@@ -42,6 +43,7 @@ from jaxtrack import (
     io,
     metrics,
     models,
+    moments,
     montecarlo,
     numerics,
     sensors,
@@ -88,6 +90,7 @@ __all__ = [
     "io",
     "metrics",
     "models",
+    "moments",
     "monte_carlo",
     "montecarlo",
     "numerics",
