@@ -1,8 +1,10 @@
-"""Recursive filters of one target: the Kalman family, and least squares.
+"""Recursive filters of one target: the Kalman family, the particle filter, and least squares.
 
 `kalman`, `extended` and `unscented` are filters, each as two steps on arrays and as an estimator;
 `interacting` runs several motions beside each other, `smoother` looks back over any of the first
-three, and `gaussian` is what they share. `rls` smooths initialised tracks.
+three, and `gaussian` is what they share. `particle` takes any motion and any likelihood, as
+functions; `resampling` and `transport` have the ways to resample, all with one signature.
+`rls` smooths initialised tracks.
 """
 
 from jaxtrack.filtering import (
@@ -10,9 +12,12 @@ from jaxtrack.filtering import (
     gaussian,
     interacting,
     kalman,
+    particle,
     polar,
+    resampling,
     rls,
     smoother,
+    transport,
     unscented,
 )
 
@@ -21,8 +26,11 @@ __all__ = [
     "gaussian",
     "interacting",
     "kalman",
+    "particle",
     "polar",
+    "resampling",
     "rls",
     "smoother",
+    "transport",
     "unscented",
 ]

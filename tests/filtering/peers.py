@@ -39,3 +39,28 @@ def dynamax_smoother(peer, prior, looks, sigma_a):
     z = jnp.asarray(np.stack([look["z"] for look in looks]))
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         return peer.lgssm_smoother(params, z)
+
+
+def cuthbert_particle_filter(cuthbert, model, z, key, size):
+    """Return cuthbert's log-likelihood of a `linear_gaussian` model, resampled as ours."""
+    from cuthbert.smc import particle_filter as smc
+    from cuthbertlib.resampling import systematic
+    from cuthbertlib.resampling.adaptive import ess_decorator
+    from cuthbertlib.resampling.autodiff import stop_gradient_decorator
+
+    def density(x, z):
+        error = (z - x[0]) / model.noise_sigma
+        return -(error**2) / 2 - jnp.log(model.noise_sigma * jnp.sqrt(2 * jnp.pi))
+
+    engine = smc.build_filter(
+        lambda key: jax.random.normal(key, (1,), z.dtype),
+        lambda key, x, z: (
+            model.phi * x + model.process_sigma * jax.random.normal(key, (1,), x.dtype)
+        ),
+        lambda before, x, z: density(x, z),
+        size,
+        ess_decorator(stop_gradient_decorator(systematic.resampling), 2 / 3),
+    )
+    begin, rest = jax.random.split(key)
+    found = cuthbert.filter(engine, z, engine.init_prepare(key=begin), key=rest)
+    return found.log_normalizing_constant[-1]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxtrack.types import Scan
-from tests.oracles import joint, lines, neutrosophic, pairs, peaks, rls, standard, votes
+from tests.oracles import joint, lines, neutrosophic, pairs, particle, peaks, rls, standard, votes
 
 ORIGIN = (0.0, 0.0)
 SETTINGS = {
@@ -325,3 +325,30 @@ def test_turning_the_scene_about_the_origin_changes_no_membership(scale):
         twinned += sum(m.kernel is not None and abs(m.theta - m.kernel.theta) > 2.0 for m in found)
     assert twinned > 0
     assert sum(degree[1] > 0.0 for degree in reference or []) > 5
+
+
+def test_resampling_by_hand():
+    weights = [2.0, 0.0, 1.0, 1.0]  # running sums ½, ½, ¾, 1
+    assert particle.systematic(weights, 0.5) == [0, 0, 2, 3]
+    assert particle.stratified(weights, [0.9, 0.9, 0.9, 0.9]) == [0, 0, 2, 3]
+    assert particle.multinomial(weights, [0.0, 0.5, 0.74, 0.99]) == [0, 2, 2, 3]
+    assert particle.residual([3.0, 0.0, 2.0, 1.0], [0, 0, 0, 0.8]) == [0, 0, 2, 3]
+    assert particle.mixed(weights, 0.5) == [0.375, 0.125, 0.25, 0.25]
+    np.testing.assert_allclose(particle.monotone(np.array([1.0, 0.0]), [0.25, 0.75]), [0.0, 0.5])
+    assert particle.effective_size([2.0, 2.0, 0.0]) == 2.0
+
+
+def test_a_particle_filter_by_hand():
+    looks = [{"valid": True, "g": (0.2, 0.6)}, {"valid": False}, {"valid": True, "g": (0.0, 0.0)}]
+    done = particle.run(
+        [[0.0], [1.0]],
+        looks,
+        lambda x, i, look: x + 1,
+        lambda x, look: look["g"][int(x[0]) % 2 == 0],
+        lambda weights: [1, 1],
+        0.0,
+    )
+    np.testing.assert_allclose([one["mean"][0] for one in done], [1.75, 1.75, 2.75])
+    np.testing.assert_allclose(done[0]["log_likelihood"], math.log(0.4))
+    assert [one["vanished"] for one in done] == [False, False, True]
+    np.testing.assert_allclose(done[2]["weights"], [0.25, 0.75])
