@@ -1,7 +1,8 @@
 """Clustering of weighted samples, differentiable through the fixed point.
 
-`fuzzy_cmeans` finds a given number of patterns, `isodata` their number as well. `cloud` has the
-cloud model, whose classes are fuzzy and random, and C-means on it.
+`fuzzy_cmeans` finds a given number of patterns, `isodata` their number as well; `linked` parts a
+cloud of points where it has gaps. `cloud` has the cloud model, whose classes are fuzzy and random,
+and C-means on it.
 """
 
 from jaxtrack.clustering import cloud
@@ -15,9 +16,11 @@ from jaxtrack.clustering.patterns import (
     merge,
     partition,
 )
+from jaxtrack.clustering.linkage import Clusters, linked
 
 __all__ = [
     "CMeans",
+    "Clusters",
     "Isodata",
     "IsodataParams",
     "IsodataSizes",
@@ -28,6 +31,7 @@ __all__ = [
     "farthest_first",
     "fuzzy_cmeans",
     "isodata",
+    "linked",
     "memberships",
     "merge",
     "partition",

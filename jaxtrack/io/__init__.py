@@ -4,7 +4,8 @@
     arrays of positions ──────────────────┴─ scans_from_arrays ─┐
     a CSV file ── read_detections ──────────────────────────────┤
     a beam sonar's ranges ── beam_scans_from_arrays ────────────┤
-    a CSV file ── read_beams ───────────────────────────────────┴─► Recording
+    a CSV file ── read_beams ───────────────────────────────────┤
+    a CSV file ── read_pings ───────────────────────────────────┴─► Recording
                                                                       │  │
     a CSV file ◄── write_tracks ◄── Tracks ◄── estimators ◄── scans ──┘  │
                          └───────────── epoch, origin, axes ─────────────┘
@@ -19,6 +20,7 @@ from jaxtrack.io.beam_arrays import beam_scans_from_arrays
 from jaxtrack.io.beams_csv import read_beams
 from jaxtrack.io.detections_csv import read_detections
 from jaxtrack.io.errors import DataError
+from jaxtrack.io.pings_csv import read_pings
 from jaxtrack.io.polar import covariance_from_polar, position_from_polar
 from jaxtrack.io.recording import Recording
 from jaxtrack.io.tracks_csv import write_tracks
@@ -31,6 +33,7 @@ __all__ = [
     "position_from_polar",
     "read_beams",
     "read_detections",
+    "read_pings",
     "scans_from_arrays",
     "write_tracks",
 ]

@@ -26,15 +26,16 @@ import numpy as np
 
 from jaxtrack.io.beam_arrays import RANGE_WANTED, beam_scans_from_arrays
 from jaxtrack.io.csv_table import (
-    Table,
     check_columns,
+    check_once,
     filled,
     numbers_in,
+    one_a_look,
     read_table,
     where_in,
     whole_numbers,
 )
-from jaxtrack.io.errors import DataError, Where, check_numbers, check_weights, number
+from jaxtrack.io.errors import Where, check_numbers, check_weights
 from jaxtrack.io.recording import Recording, looks_of_rows
 from jaxtrack.numerics.checks import check_size
 from jaxtrack.types import BeamScan
@@ -90,7 +91,9 @@ def read_beams(
     time_s = numbers_in(table, "time_s", every)
     look, look_time_s = looks_of_rows(time_s, None, where)
     _, first = np.unique(look, return_index=True)
-    heading_deg, x_m, y_m = (_pose(table, name, look, first, where) for name in _POSE)
+    heading_deg, x_m, y_m = (
+        one_a_look(table, name, look, first, want="one pose a look") for name in _POSE
+    )
 
     shown = every[filled(table, "beam", "range_m")]
 
@@ -120,34 +123,11 @@ def read_beams(
     )
 
 
-def _pose(
-    table: Table, column: str, look: np.ndarray, first: np.ndarray, where: Where
-) -> np.ndarray:
-    """Return a column's value in each look, [T], the same in all of the look's rows."""
-    values = numbers_in(table, column, np.arange(len(look)))
-    expected = values[first][look]
-    differs = values != expected
-    if differs.any():
-        row = int(np.argmax(differs))
-        raise DataError(
-            f"{where(row, column)}: got {number(values[row])} after {number(expected[row])} "
-            "at the same time, want one pose a look"
-        )
-    return values[first]
-
-
 def _beams(values: np.ndarray, look: np.ndarray, beams: int, where: Where) -> np.ndarray:
     """Return the beams' numbers, [D] int, each in range and once a look."""
     last = beams - 1
     check_numbers(values, "beam", where, low=0, high=last, want=f"a beam's number, 0 to {last}")
     beam = whole_numbers(values, "beam", where)
     cell = look * beams + beam
-    _, first, again = np.unique(cell, return_index=True, return_inverse=True)
-    repeated = first[again] != np.arange(len(cell))
-    if repeated.any():
-        row = int(np.argmax(repeated))
-        raise DataError(
-            f"{where(row, 'beam')}: got {beam[row]} twice at the same time, "
-            "want at most one range a beam"
-        )
+    check_once(cell, beam, "beam", where, want="at most one range a beam")
     return beam

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxtrack.io.errors import DataError, Where, check_numbers
+from jaxtrack.io.errors import DataError, Where, check_numbers, number
 
 
 class Table(NamedTuple):
@@ -130,6 +130,56 @@ def numbers_in(table: Table, column: str, rows: np.ndarray) -> np.ndarray:
     values = np.array([_number(cells[row], column, int(row), where) for row in rows], np.float64)
     check_numbers(values, column, lambda row, column: where(int(rows[row]), column))
     return values
+
+
+def one_a_look(
+    table: Table, column: str, look: np.ndarray, first: np.ndarray, *, want: str
+) -> np.ndarray:
+    """Return a column's value in each look, [T] float64, which all of the look's rows share.
+
+    Args:
+        table: the file's.
+        column: its name.
+        look: [R] the look of each row.
+        first: [T] the first row of each look.
+        want: what is wanted, for the message.
+
+    Raises:
+        DataError: a cell is no number, or differs from the look's first.
+    """
+    values = numbers_in(table, column, np.arange(len(look)))
+    expected = values[first][look]
+    differs = values != expected
+    if differs.any():
+        row = int(np.argmax(differs))
+        raise DataError(
+            f"{where_in(table)(row, column)}: got {number(values[row])} after "
+            f"{number(expected[row])} at the same time, want {want}"
+        )
+    return values[first]
+
+
+def check_once(
+    cell: np.ndarray, values: np.ndarray, column: str, where: Where, *, want: str
+) -> None:
+    """Check that no row is of a cell that an earlier one is of.
+
+    Args:
+        cell: [R] int, what must not come twice.
+        values: [R] what the file calls it, for the message.
+        column: the name of the column, for the message.
+        where: words the place.
+        want: what is wanted, for the message.
+
+    Raises:
+        DataError: the first row that repeats a cell.
+    """
+    _, first, again = np.unique(cell, return_index=True, return_inverse=True)
+    repeated = first[again] != np.arange(len(cell))
+    if repeated.any():
+        row = int(np.argmax(repeated))
+        got = number(values[row])
+        raise DataError(f"{where(row, column)}: got {got} twice at the same time, want {want}")
 
 
 def whole_numbers(values: np.ndarray, column: str, where: Where) -> np.ndarray:

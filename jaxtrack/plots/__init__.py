@@ -5,6 +5,7 @@ from jaxtrack.plots.comparisons import run_times, scores
 from jaxtrack.plots.film import film
 from jaxtrack.plots.meetings import meetings
 from jaxtrack.plots.motion_elements import coordinate_over_time, error_curves, vote_plane
+from jaxtrack.plots.pings import pings_map
 from jaxtrack.plots.scene import scene
 from jaxtrack.plots.sinusoids import sinusoids
 from jaxtrack.plots.style import style
@@ -18,6 +19,7 @@ __all__ = [
     "film",
     "maps",
     "meetings",
+    "pings_map",
     "positions_over_time",
     "run_times",
     "scene",

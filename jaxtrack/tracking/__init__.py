@@ -1,4 +1,4 @@
-"""Stages wired together: from lines to tracks, from a recording to tracks, from look to look."""
+"""Stages wired together: pings to detections, lines and recordings to tracks, look to look."""
 
 from jaxtrack.tracking.hough_tracker import (
     HoughTrackerInfo,
@@ -23,6 +23,7 @@ from jaxtrack.tracking.lifecycle import (
     grade,
 )
 from jaxtrack.tracking.motion_elements import ESTIMATORS, MotionElements, motion_elements
+from jaxtrack.tracking.ping_detection import PingDetection, PingDetectionInfo, detect_in_pings
 from jaxtrack.tracking.sliding import SlidingInfo, sliding
 from jaxtrack.tracking.track import TRACKERS, TrackInfo, track
 from jaxtrack.tracking.window import METHODS, WindowInfo, initiate_window
@@ -43,11 +44,14 @@ __all__ = [
     "KalmanTrackerState",
     "LifecycleParams",
     "MotionElements",
+    "PingDetection",
+    "PingDetectionInfo",
     "SlidingInfo",
     "TrackInfo",
     "TrackTable",
     "WindowInfo",
     "admit",
+    "detect_in_pings",
     "empty_table",
     "grade",
     "hough_tracker",

@@ -11,7 +11,15 @@ from matplotlib.figure import Figure
 from jaxtrack import plots
 from jaxtrack.plots.accumulations import _coarse
 from jaxtrack.plots.sinusoids import _nearest_line
-from jaxtrack.sensors import crossing_targets, observe
+from jaxtrack.sensors import (
+    IMAGENEX_881L,
+    PingSizes,
+    ScanningPreset,
+    cloud_of_pings,
+    crossing_targets,
+    dragged_bucket,
+    observe,
+)
 from jaxtrack.types import Scan, Tracks
 
 
@@ -167,3 +175,42 @@ def test_a_method_has_one_colour_in_all_figures():
     colour = both.axes[0].containers[1].lines[0].get_color()
     assert colour == times.axes[0].get_lines()[0].get_color()
     assert colour != both.axes[0].containers[0].lines[0].get_color()
+
+
+def test_a_sweep_is_drawn_where_its_pings_poses_put_it(tmp_path):
+    sonar = IMAGENEX_881L.sonar
+    preset = ScanningPreset(sonar, PingSizes(bins=100, facets=4, rays=2))
+    run = jax.jit(lambda key: dragged_bucket(key, "following", frames=2, preset=preset))
+    found = run(jax.random.key(0))
+    # The second sweep turns to port.
+    sweep = jax.tree.map(lambda x: x[1], found.pings)
+    truth = jax.tree.map(lambda x: x[1:], found.truth)
+    cloud, _ = cloud_of_pings(sweep, sonar)
+    figure = plots.pings_map(sweep, sonar, cloud, truth, title="a sweep")
+    plane = figure.axes[0]
+    assert (plane.get_xlabel(), plane.get_title(loc="left")) == ("east, m", "a sweep")
+    assert legend(figure) == ["sonar", "cloud", "truth"]
+    by_label = {line.get_label(): line.get_xydata() for line in plane.get_lines()}
+    points = np.asarray(cloud.position_m)[np.asarray(cloud.mask)][:, ::-1]
+    np.testing.assert_allclose(by_label["cloud"], points)
+    np.testing.assert_allclose(by_label["truth"], np.asarray(truth.state[0, :, 1::-1]))
+    mesh = plane.collections[0]
+    level_db = 20 * np.log10(np.asarray(sweep.intensity))
+    np.testing.assert_allclose(np.asarray(mesh.get_array()).reshape(101, 100), level_db, rtol=1e-6)
+    # Every point of the cloud lies in its own cell: the nearest middle is within half a cell.
+    corner = mesh.get_coordinates()
+    middle = (corner[1:, 1:] + corner[:-1, :-1] + corner[1:, :-1] + corner[:-1, 1:]) / 4
+    loud = middle[np.asarray(sweep.intensity) >= 4.0]
+    gap = np.linalg.norm(points[:, None] - loud[None], axis=-1)
+    assert gap.min(axis=0).max() < 0.05
+    draw(figure, tmp_path)
+
+    near = plots.pings_map(sweep, sonar, cloud, truth, around_m=4.0, axes="x_y").axes[0]
+    at = np.asarray(truth.state[0, 0, :2])
+    np.testing.assert_allclose([near.get_xlim(), near.get_ylim()], at[:, None] + [[-4.0, 4.0]])
+    none = sweep._replace(mask=np.zeros(101, bool))
+    draw(plots.pings_map(none, sonar), tmp_path)
+    with pytest.raises(ValueError, match=r"around_m: got 4.0 without a true target"):
+        plots.pings_map(sweep, sonar, around_m=4.0)
+    with pytest.raises(ValueError, match="axes: got 'polar'"):
+        plots.pings_map(sweep, sonar, axes="polar")

@@ -7,7 +7,7 @@ import pytest
 from scipy import integrate, stats
 
 from jaxtrack.models import BeamSonar
-from jaxtrack.sensors import Echo, echo_amplitudes, observe_beams
+from jaxtrack.sensors import Echo, echo_amplitudes, observe_beams, reverberate
 from jaxtrack.types import Pose, Truth
 
 LOOKS, BEAMS = 20_000, 12
@@ -76,3 +76,21 @@ def test_intensities_come_with_detections_and_change_nothing_else():
     assert (intensity[mask] > 0).all()
     detected = mask[:, 45] & (np.abs(np.asarray(loud.range_m)[:, 45] - 80.0) < 15.0)
     assert intensity[:, 45][detected].mean() > 5 * intensity[:, :40][mask[:, :40]].mean()
+
+
+def test_reverberation_is_k_distributed_in_independent_cells_and_echoes_add_to_it():
+    run = jax.jit(reverberate, static_argnames="shape")
+    power = jnp.broadcast_to(jnp.array([0.0, 0.0, 10.0]), (LOOKS, 3))
+    for shape in (1, 3):
+        a = np.asarray(run(jax.random.key(3), power, shape=shape))
+        assert_mean(a[:, 0] ** 2, 1.0)
+        assert_mean(a[:, 0] ** 4, 2 * (1 + 1 / shape))
+        assert_mean(a[:, 0] ** 2 * a[:, 1] ** 2, 1.0)
+        assert_mean(a[:, 2] ** 2, 11.0)
+        for level in (0.3, 1.0, 2.0):
+            expected = k_distribution(level, shape)
+            error = np.sqrt(expected * (1 - expected) / LOOKS)
+            assert abs((a[:, 0] <= level).mean() - expected) <= 4 * error
+    assert run(jax.random.key(0), jnp.zeros(4, jnp.float32)).dtype == jnp.float32
+    with pytest.raises(ValueError, match="shape: got 33, want an int ≤ 32"):
+        reverberate(jax.random.key(0), power, shape=33)
