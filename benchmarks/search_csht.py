@@ -3,18 +3,18 @@
 Windows of 20 looks, P_M = P_F = 0.3, at most one false alarm a look, σ = 3 m; straight targets
 drawn over the sector of the paper's vehicle, three in most scenes, else one, two or four. An
 evolution: each generation draws new scenes and multiplies the parameters of the best so far by
-log-normal factors; the last winners are compared on 2048 scenes that none of them has seen.
+log-normal factors. At the end of a stage the first and the last winners are compared on 2048 scenes
+that none of them has seen. The second stage starts from the best of the first, with factors half as
+wide.
 
-These are mixed: about 769 are fair and have three targets. The best of the winners is chosen on the
-same scenes that its shares are printed of, which flatters them: an independent number needs another
-seed, or other scenes. The defaults are those of two runs, each from the defaults of its time:
-
-    python benchmarks/search_csht.py --generations 30 --seed 0
-    python benchmarks/search_csht.py --generations 14 --seed 1 --scenes 768 --spread 0.06
+These scenes are mixed: about 769 are fair and have three targets. The best of the winners is chosen
+on the same scenes that its shares are printed of, which flatters them: an independent number needs
+another seed, or other scenes.
 """
 
 import argparse
 import os
+from typing import NamedTuple
 
 import jax
 
@@ -23,16 +23,48 @@ jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
+from jaxtrack.clustering import IsodataParams  # noqa: E402
+from jaxtrack.hough import pack_beams  # noqa: E402
 from jaxtrack.hough.clustering_statistic import ClusteringParams, estimate  # noqa: E402
+from jaxtrack.hough.slope_intercept import LineGrid  # noqa: E402
 from jaxtrack.metrics import ospa  # noqa: E402
 from jaxtrack.models import polar_to_earth, propagate  # noqa: E402
 from jaxtrack.montecarlo import monte_carlo  # noqa: E402
 from jaxtrack.sensors import in_sight, motion_elements_scene, observe_beams  # noqa: E402
-from jaxtrack.studies.csht_trial import as_positions  # noqa: E402
 from jaxtrack.types import Truth  # noqa: E402
 
 MOST, SHARES = 4, (0.08, 0.12, 0.70, 0.10)  # targets, and how often there are 1, 2, 3, 4
 CHILDREN, FINALISTS, FINAL_SCENES = 24, 6, 2048
+
+
+class Stage(NamedTuple):
+    """One evolution."""
+
+    start: ClusteringParams
+    seed: int
+    generations: int
+    scenes: int  # of a generation
+    spread: float  # of the factors' logarithms
+
+
+def params(x, y, shares, cluster, isodata):
+    """Return parameters with the ends of the grids that all of them have."""
+    grids = LineGrid(-9.8, x[0], -49.7, x[1]), LineGrid(-6.0, y[0], -40.0, y[1])
+    return ClusteringParams(*grids, *shares, *cluster, IsodataParams(*isodata))
+
+
+BY_HAND = params(
+    (0.245, 5.0), (0.15, 4.0), (0.55, 0.59), (7.1, 3.35), (2.12, 0.17, 2.4, 0.2, 0.54, 0.7, 0.08)
+)
+# What the first stage finds, rounded.
+FIRST = params(
+    (0.2094, 6.63),
+    (0.1464, 6.2),
+    (0.504, 0.615),
+    (4.783, 2.06),
+    (2.452, 0.16, 3.396, 0.2, 0.403, 0.484, 0.0515),
+)
+STAGES = Stage(BY_HAND, 0, 30, 256, 0.12), Stage(FIRST, 1, 14, 768, 0.06)
 
 
 def random_scene(key):
@@ -66,7 +98,7 @@ def trial(key, params):
     draw, look = jax.random.split(key)
     scene, fair, count = random_scene(draw)
     scans = observe_beams(look, *scene, beams=90, false_alarms="per_scan")
-    tracks, _ = estimate(as_positions(scans, scene.sonar, 8), params)
+    tracks, _ = estimate(pack_beams(scans, scene.sonar, 8)[0], params)
     truth, there = scene.truth.state[-1, :, :2], scene.truth.mask[-1]
     error = ospa(tracks.mean[:, :2], tracks.mask, truth, there, cutoff=20.0, order=2.0).distance
     return error, tracks.mask.sum() == count, count, fair
@@ -99,36 +131,44 @@ def vary(rng, params, spread):
     return structure.unflatten(new)
 
 
-def main():
-    """Search, compare the finalists, print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--generations", type=int, default=40)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--scenes", type=int, default=256, help="of a generation")
-    parser.add_argument("--spread", type=float, default=0.12, help="of the factors' logarithms")
-    options = parser.parse_args()
-    rng, key = np.random.default_rng(options.seed), jax.random.key(options.seed)
-    best = jax.tree.map(jnp.asarray, ClusteringParams())
+def evolve(stage):
+    """Return the best of the first and the last winners of a stage, to four digits."""
+    rng, key = np.random.default_rng(stage.seed), jax.random.key(stage.seed)
+    best = jax.tree.map(jnp.asarray, stage.start)
     winners = [best]
-    print(f"{options}, {CHILDREN} candidates a generation")
-    for generation in range(options.generations):
-        candidates = [best, *(vary(rng, best, options.spread) for _ in range(CHILDREN - 1))]
-        rows = evaluate(jax.random.fold_in(key, generation), candidates, options.scenes)
+    print(f"{stage}, {CHILDREN} candidates a generation")
+    for generation in range(stage.generations):
+        candidates = [best, *(vary(rng, best, stage.spread) for _ in range(CHILDREN - 1))]
+        rows = evaluate(jax.random.fold_in(key, generation), candidates, stage.scenes)
         place = int(np.argmin([row[0] for row in rows]))
-        score, shares, median = rows[place]
         if place:
             best = candidates[place]
             winners.append(best)
-        exact = " ".join(f"{s:.2f}" for s in shares)
-        print(
-            f"{generation:3d} score {score:.2f}, exact {exact}, median {median:.2f} m", flush=True
-        )
+        print(f"{generation:3d} {in_words(rows[place])}", flush=True)
     finalists = [winners[0], *winners[1:][-FINALISTS:]]
     rows = evaluate(jax.random.fold_in(key, 10**6), finalists, FINAL_SCENES)
-    for params, (score, shares, median) in zip(finalists, rows, strict=True):
-        exact = " ".join(f"{s:.3f}" for s in shares)
-        print(f"score {score:.3f}, exact {exact}, median {median:.3f} m")
-        print("   ", jax.tree.map(lambda x: float(f"{float(x):.4g}"), params))
+    finalists = [jax.tree.map(lambda x: float(f"{float(x):.4g}"), each) for each in finalists]
+    for each, row in zip(finalists, rows, strict=True):
+        print(f"{in_words(row)}\n    {each}", flush=True)
+    return finalists[int(np.argmin([row[0] for row in rows]))]
+
+
+def in_words(row):
+    """Return what `evaluate` found of one set of parameters."""
+    score, shares, median = row
+    exact = " ".join(f"{share:.3f}" for share in shares)
+    return f"score {score:.3f}, exact {exact}, median {median:.3f} m"
+
+
+def main():
+    """Run the stages, print what each finds, and the defaults."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--generations", type=int, help="of each stage, for a quick look")
+    options = parser.parse_args()
+    for stage in STAGES:
+        few = stage._replace(generations=options.generations or stage.generations)
+        print(f"found:    {evolve(few)}\n")
+    print(f"defaults: {ClusteringParams()}")
 
 
 if __name__ == "__main__":

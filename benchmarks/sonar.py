@@ -18,7 +18,7 @@ import numpy as np  # noqa: E402
 from scipy.special import ndtr  # noqa: E402
 
 from jaxtrack.clustering import fuzzy_cmeans  # noqa: E402
-from jaxtrack.hough import SpeedGate, clustering_statistic, joint  # noqa: E402
+from jaxtrack.hough import SpeedGate, clustering_statistic, joint, pack_beams  # noqa: E402
 from jaxtrack.hough.slope_intercept import (  # noqa: E402
     LineGrid,
     LineSizes,
@@ -31,7 +31,6 @@ from jaxtrack.metrics import ospa  # noqa: E402
 from jaxtrack.models import BEAMS, BeamSensor  # noqa: E402
 from jaxtrack.montecarlo import monte_carlo  # noqa: E402
 from jaxtrack.sensors import motion_elements_scene, observe_beams  # noqa: E402
-from jaxtrack.studies.csht_trial import as_positions  # noqa: E402
 
 SEED, REALIZATIONS = 0, 4096
 LOOKS, POINTS = 20, 8  # a window with one false alarm a look
@@ -83,7 +82,7 @@ def position_error(scene, tracks):
 
 def csht_realization(key, params):
     scene, scans = beams(key, "per_scan")
-    tracks, _ = clustering_statistic.estimate(as_positions(scans, scene.sonar, POINTS), params)
+    tracks, _ = clustering_statistic.estimate(pack_beams(scans, scene.sonar, POINTS)[0], params)
     return position_error(scene, tracks)
 
 
@@ -211,7 +210,7 @@ def gradient():
 
     def window(key):
         scene, scans = beams(key, "per_scan")
-        return as_positions(scans, scene.sonar, POINTS)
+        return pack_beams(scans, scene.sonar, POINTS)[0]
 
     keys = jax.random.split(jax.random.key(SEED), many)
     scans = jax.jit(jax.vmap(window))(keys)

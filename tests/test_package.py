@@ -28,8 +28,6 @@ WITHOUT_EXAMPLE = {
     "hough.modified.pair_votes": OF_ESTIMATE,
     "hough.modified.soft_estimate": SOFT,
     "hough.modified.vote_once": OF_ESTIMATE,
-    "hough.neutrosophic.memberships": OF_ESTIMATE,
-    "hough.neutrosophic.scales": OF_ESTIMATE,
     "hough.neutrosophic.soft_estimate": SOFT,
     "hough.standard.rows": OF_ESTIMATE,
 }

@@ -1,9 +1,9 @@
 """Commands on a user's own file: initiate, estimate, track."""
 
-import math
 import pathlib
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Literal
 
+from jaxtrack.cli.inputs import as_positions, read_looks, wrong_outputs
 from jaxtrack.cli.screen import (
     draw,
     fail,
@@ -16,9 +16,6 @@ from jaxtrack.cli.screen import (
     seed_of,
     use_all_cores,
 )
-
-if TYPE_CHECKING:
-    from jaxtrack.io import Recording
 
 
 def initiate(
@@ -65,7 +62,7 @@ def initiate(
     from jaxtrack.io import read_detections, write_tracks
     from jaxtrack.tracking import initiate_window
 
-    wrong = _wrong_outputs(file, out, figure)
+    wrong = wrong_outputs(file, out, figure)
     if wrong:
         return fail(wrong)
     try:
@@ -139,11 +136,13 @@ def estimate(
     from jaxtrack.io import write_tracks
     from jaxtrack.tracking import motion_elements
 
-    wrong = _wrong_outputs(file, out, figure)
+    wrong = wrong_outputs(file, out, figure)
     if wrong:
         return fail(wrong)
     try:
-        recording, sonar = _read(file, bearing, beams, sector_deg, range_max_m, sigma_m, p_detect)
+        recording, sonar = read_looks(
+            file, bearing, beams, sector_deg, range_max_m, sigma_m, p_detect
+        )
         found = motion_elements(
             recording.scans,
             method=method,
@@ -156,7 +155,7 @@ def estimate(
         )
         write_tracks(out, found.tracks, recording)
         if figure is not None:
-            shown = _positions(recording, sonar)
+            shown = as_positions(recording, sonar)
             draw(figure, shown, found.tracks, None, f"{file.name}, {method}")
     except (OSError, ValueError) as error:
         return fail(line(error))
@@ -232,11 +231,13 @@ def track(
     from jaxtrack.hough import SpeedGate
     from jaxtrack.io import write_tracks
 
-    wrong = _wrong_outputs(file, out, figure)
+    wrong = wrong_outputs(file, out, figure)
     if wrong:
         return fail(wrong)
     try:
-        recording, sonar = _read(file, bearing, beams, sector_deg, range_max_m, sigma_m, p_detect)
+        recording, sonar = read_looks(
+            file, bearing, beams, sector_deg, range_max_m, sigma_m, p_detect
+        )
         tracks, info = tracking.track(
             recording.scans,
             tracker=tracker,
@@ -252,70 +253,9 @@ def track(
         )
         write_tracks(out, tracks, recording)
         if figure is not None:
-            draw(figure, _positions(recording, sonar), tracks, None, f"{file.name}, {tracker}")
+            draw(figure, as_positions(recording, sonar), tracks, None, f"{file.name}, {tracker}")
     except (OSError, ValueError) as error:
         return fail(line(error))
     print_lives(Console(), recording, tracks, info)
     print_files(info.notes, out, figure)
     return 0
-
-
-def _wrong_outputs(file: pathlib.Path, out: pathlib.Path, figure: pathlib.Path | None) -> str:
-    """Return what is wrong with the files to write, before anything is computed; "" if nothing."""
-    if figure is not None:
-        # So does a missing matplotlib.
-        from jaxtrack import plots  # noqa: F401
-
-        kinds = (".png", ".pdf", ".svg")
-        if figure.suffix.lower() not in kinds:
-            return f"--figure: got {figure}, want a name that ends in {', '.join(kinds)}"
-    for path in (out, figure):
-        if path is not None and not path.parent.is_dir():
-            return f"{path}: there is no folder {path.parent}"
-        if path is not None and path.is_dir():
-            return f"{path}: got a folder, want the name of a file"
-    if out.resolve() == file.resolve():
-        return f"--out: got {out}, which is the file of detections itself"
-    if figure is not None and figure.resolve() in (out.resolve(), file.resolve()):
-        return f"--figure: got {figure}, which is another of the files"
-    return ""
-
-
-def _read(
-    file: pathlib.Path,
-    bearing: str,
-    beams: int | None,
-    sector_deg: float,
-    range_max_m: float,
-    sigma_m: float,
-    p_detect: float,
-) -> tuple[Any, Any]:
-    """Return a recording and, of beams, the sonar: false alarms are what most beams report."""
-    import numpy as np
-
-    from jaxtrack.io import read_beams, read_detections
-    from jaxtrack.models import BeamSonar
-
-    if beams is None:
-        return read_detections(file, bearing=bearing), None
-    if not 0 < sector_deg <= 360:
-        raise ValueError(f"--sector-deg: got {sector_deg:g}, want an angle from 0 to 360")
-    if not 0 < p_detect < 1:
-        raise ValueError(f"--p-detect: got {p_detect:g}, want a probability between 0 and 1")
-    recording = read_beams(file, beams=beams)
-    shown = np.asarray(recording.scans.mask)[np.asarray(recording.scans.valid)]
-    p_false = float(np.clip(shown.mean() if shown.size else 0.0, 1e-4, 0.95))
-    return recording, BeamSonar(
-        1 - p_detect, p_false, sigma_m, range_max_m, math.radians(sector_deg)
-    )
-
-
-def _positions(recording: "Recording", sonar: Any) -> "Recording":
-    """Return a recording of beams as one of positions."""
-    if sonar is None:
-        return recording
-    import jax
-
-    from jaxtrack.sensors import scan_of_beams
-
-    return recording._replace(scans=jax.vmap(scan_of_beams, (0, None))(recording.scans, sonar))

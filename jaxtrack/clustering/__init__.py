@@ -7,15 +7,12 @@ and C-means on it.
 
 from jaxtrack.clustering import cloud
 from jaxtrack.clustering.fuzzy_cmeans import CMeans, fuzzy_cmeans, memberships, update
-from jaxtrack.clustering.isodata import (
-    Isodata,
+from jaxtrack.clustering.isodata import Isodata, IsodataSizes, farthest_first, isodata
+from jaxtrack.clustering.patterns import (
     IsodataParams,
-    IsodataSizes,
     Partition,
     delete,
     divide,
-    farthest_first,
-    isodata,
     merge,
     partition,
 )

@@ -121,18 +121,9 @@ def fuzzy_cmeans(
         equation 21 prints the distance itself. The gradient is meaningful where `residual` is
         small; along directions in which the fixed point is not isolated it is zero.
     """
-    check_array("samples", samples, shape=("N", "D"))
-    check_array("weights", weights, shape=(samples.shape[0],))
-    check_array("centres", centres, shape=("K", samples.shape[1]))
     check_size("iterations", iterations)
-    mask = jnp.ones(samples.shape[0], bool) if mask is None else jnp.asarray(mask)
-    active = jnp.ones(centres.shape[0], bool) if active is None else jnp.asarray(active)
-    check_array("mask", mask, shape=(samples.shape[0],))
-    check_array("active", active, shape=(centres.shape[0],))
-    samples = as_float(samples)
+    samples, weights, mask, active = check_samples(samples, weights, centres, mask, active)
     dtype = samples.dtype
-    samples = jnp.where(mask[:, None], samples, 0.0)
-    weights = jnp.where(mask, jnp.asarray(weights, dtype), 0.0)
     start = jax.lax.stop_gradient(jnp.asarray(centres, dtype))
     fuzzifier = jnp.asarray(fuzzifier, dtype)
     bound = jax.lax.stop_gradient(jnp.asarray(tolerance, dtype)) ** 2
@@ -165,6 +156,32 @@ def fuzzy_cmeans(
         (weights[None, :] * share_m * squares).sum(),
         jnp.sqrt((step * step).sum(-1).max()),
     )
+
+
+def check_samples(
+    samples: Array, weights: Array, centres: Array, mask: Array | None, active: Array | None
+) -> tuple[Array, Array, Array, Array]:
+    """Return samples and weights, zero where they do not exist, and both masks.
+
+    Raises:
+        ValueError: shapes do not fit.
+        TypeError: not real numbers.
+
+    Example:
+        >>> samples, ones = jnp.array([[4.0], [jnp.nan]]), jnp.ones(2)
+        >>> print(check_samples(samples, ones, samples, jnp.array([True, False]), None)[0].ravel())
+        [4. 0.]
+    """
+    check_array("samples", samples, shape=("N", "D"))
+    check_array("weights", weights, shape=(samples.shape[0],))
+    check_array("centres", centres, shape=("K", samples.shape[1]))
+    mask = jnp.ones(samples.shape[0], bool) if mask is None else jnp.asarray(mask)
+    active = jnp.ones(centres.shape[0], bool) if active is None else jnp.asarray(active)
+    check_array("mask", mask, shape=(samples.shape[0],))
+    check_array("active", active, shape=(centres.shape[0],))
+    samples = jnp.where(mask[:, None], as_float(samples), 0.0)
+    weights = jnp.where(mask, jnp.asarray(weights, samples.dtype), 0.0)
+    return samples, weights, mask, active
 
 
 def _shares(

@@ -18,7 +18,8 @@ from jaxtrack.hough import (
 )
 from jaxtrack.hough.gate import gate_for_false_rate
 from jaxtrack.hough.grid import Grid, Sizes
-from jaxtrack.hough.pairs import SpeedGate, pack_detections
+from jaxtrack.hough.packing import pack_beams, pack_detections
+from jaxtrack.hough.pairs import SpeedGate
 from jaxtrack.hough.peaks import HoughInfo, Peaks
 
 __all__ = [
@@ -33,6 +34,7 @@ __all__ = [
     "joint",
     "modified",
     "neutrosophic",
+    "pack_beams",
     "pack_detections",
     "slope_intercept",
     "standard",

@@ -10,28 +10,25 @@ out of the detections' weights, and so on. Then all tracks are refitted together
 the others leave. What the sensor is, only `models.observation` knows.
 """
 
-import math
-from statistics import NormalDist
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from jaxtrack.hough.pairs import SpeedGate, distant_pairs, pack_detections
+from jaxtrack.hough.evidence import along, evidence, trajectory_score, weighted
+from jaxtrack.hough.packing import pack_detections
+from jaxtrack.hough.pairs import SpeedGate, distant_pairs
+from jaxtrack.hough.tracks import tentative_tracks
 from jaxtrack.models.line import line_through
-from jaxtrack.models.motion import look_times, propagate
 from jaxtrack.models.observation import POSITION, Observation
 from jaxtrack.numerics.checks import check_size
-from jaxtrack.numerics.definite import scaled_inverse, scaled_root
-from jaxtrack.numerics.safe import safe_divide, safe_norm
-from jaxtrack.types import Array, BeamScan, Key, Lines, Scan, Stage, Tracks
+from jaxtrack.numerics.definite import scaled_inverse
+from jaxtrack.numerics.safe import safe_divide
+from jaxtrack.types import Array, BeamScan, Key, Lines, Scan, Tracks
 
 _BLURS = (1.3, 1.3, 1.15, 1.0, 1.0, 1.0)  # widening of the noise, step by step of the refinement
 _REFITS = 4  # rounds of the joint refit
 _SOME = 3  # every third look is among those that survivors are chosen by
-_ROUNDS = 2  # of sampling the posterior
-_INFLATION = 1.2  # of the samples' spread over the posterior's
 
 
 class JointParams(NamedTuple):
@@ -114,7 +111,7 @@ def estimate(
     dtype = scans.time_s.dtype
     sensor = jax.tree.map(lambda x: jnp.asarray(x, dtype), params.sensor)
     gate = jnp.asarray(params.gate, dtype)
-    scans, end = _cleaned(scans)
+    scans, end = weighted(scans)
     fixed, fixed_sensor = jax.lax.stop_gradient((scans, sensor))
     whole = jnp.asarray(fixed.weight)
 
@@ -142,7 +139,7 @@ def estimate(
 
     def claim(state: Array, weight: Array) -> Array:
         one = lambda x, scan: observation.responsibility(x, scan, fixed_sensor)
-        return jax.vmap(one)(_along(state, fixed), fixed._replace(weight=weight))
+        return jax.vmap(one)(along(state, fixed), fixed._replace(weight=weight))
 
     def pick(free: Array, _: None) -> tuple[Array, tuple[Array, Array, Array]]:
         rest = fixed._replace(weight=whole * free)
@@ -160,8 +157,7 @@ def estimate(
     def finish(state: Array, free: Array) -> tuple[Array, ...]:
         def total(state: Array, scans: Any, sensor: Any) -> Array:
             seen = scans._replace(weight=jnp.asarray(scans.weight) * free)
-            one = lambda x, scan: observation.log_likelihood_ratio(x, scan, sensor)
-            return jax.vmap(one)(_along(state, scans), seen).sum()
+            return trajectory_score(state, seen, sensor, observation=observation)
 
         information = -jax.hessian(total)(state, fixed, fixed_sensor)
         covariance, definite = scaled_inverse(information)
@@ -203,84 +199,12 @@ def estimate(
     table = mean, covariance, score, keep, free, definite
     mean, covariance, score, keep, free, definite = (x[order] for x in table)
     claims = jax.vmap(claim)(jax.lax.stop_gradient(mean), whole[None] * free)
-    clear = lambda x: jnp.where(keep.reshape(-1, *(1,) * (x.ndim - 1)), x, 0)
-    tracks = Tracks(
-        time_s=end,
-        mean=clear(mean),
-        covariance=clear(covariance),
-        mask=keep,
-        identity=jnp.where(keep, jnp.arange(sizes.tracks), -1),
-        stage=jnp.where(keep, Stage.TENTATIVE, Stage.EMPTY),
-        existence=clear(jax.nn.sigmoid(score - gate)),
-        log_score=clear(score),
+    tracks = tentative_tracks(
+        end, mean, covariance, keep, existence=jax.nn.sigmoid(score - gate), log_score=score
     )
+    claims = jnp.where(keep[:, None, None], claims, 0)
     overflow = overflow | crowded
-    return tracks, JointInfo(clear(claims), overflow, keep & definite, start, start_score)
-
-
-def evidence(
-    state: Array,
-    scans: Scan | BeamScan,
-    sensor: Any,
-    speed: SpeedGate,
-    *,
-    samples: int,
-    observation: Observation = POSITION,
-) -> tuple[Array, Array, Array, Array]:
-    """Return posterior mean, covariance, evidence and whether the information was definite.
-
-        log ∫ exp L(x) dx / (π (v_max² − v_min²))
-
-    over places in m² and admissible velocities, by importance samples around a trajectory; no more
-    than L at the mean, for where nothing is seen a wide volume alone is no track.
-
-    Args:
-        state: [4] where to look, at the time of the last look.
-        scans: K looks stacked.
-        sensor: the observation's.
-        speed: admissible speeds.
-        samples: how many, static.
-        observation: the sensor's likelihood.
-
-    Example:
-        >>> from jaxtrack.models import PositionSensor
-        >>> scans = Scan(2.0 * jnp.arange(5.0), jnp.ones(5, bool),
-        ...              jnp.stack([400.0 * jnp.arange(5.0), jnp.full(5, 80.0)], -1)[:, None],
-        ...              jnp.ones((5, 1), bool))
-        >>> sensor = PositionSensor(p_detect=0.99, clutter_per_m2=1e-5, sigma_m=10.0)
-        >>> weigh = jax.jit(lambda state: evidence(state, scans, sensor, SpeedGate(), samples=256))
-        >>> mean, _, score, _ = weigh(jnp.array([1590.0, 90.0, 198.0, 2.0]))
-        >>> print(jnp.abs(mean - jnp.array([1600.0, 80.0, 200.0, 0.0])).max() < 5.0, score > 10.0)
-        True True
-    """
-    dtype = scans.time_s.dtype
-    scans, _ = _cleaned(scans)
-    fixed, fixed_sensor = jax.lax.stop_gradient((scans, sensor))
-    information = observation.information(state, fixed, fixed_sensor) + _weak_prior(speed, dtype)
-    points = jnp.asarray(_normal_points(samples), dtype)
-    fastest, slowest = (jnp.asarray(v, dtype) for v in speed[::-1])
-    disc = jnp.log(jnp.pi * (fastest**2 - slowest**2))  # of velocities, all alike likely
-    definite, covariance, score = jnp.asarray(False), jnp.zeros_like(information), -disc
-    for last in (False,) * (_ROUNDS - 1) + (True,):
-        # Only the last round's weights carry gradients: where samples stand is no matter.
-        at, given = (scans, sensor) if last else (fixed, fixed_sensor)
-        root, definite = scaled_root(jax.lax.stop_gradient(information))
-        states = jax.lax.stop_gradient(state)[None] + _INFLATION * points @ root
-        pace = safe_norm(states[:, 2:4])
-        inside = (pace >= speed.v_min_m_s) & (pace <= speed.v_max_m_s)
-        value = observation.scores(states, at, given) + (points**2).sum(-1) / 2
-        value = jnp.where(inside, value, -1e9)
-        volume = jnp.log(2 * jnp.pi * _INFLATION**2) * 2 + jnp.log(jnp.diagonal(root)).sum()
-        score = jax.nn.logsumexp(value) - math.log(samples) + volume - disc
-        weight = jax.nn.softmax(value)
-        state = weight @ states
-        apart = states - state[None]
-        covariance = (weight[:, None] * apart).T @ apart
-        # No narrower than a few samples can tell.
-        information, _ = scaled_inverse(covariance + jnp.diag(jnp.diagonal(covariance)) * 0.05)
-    one = lambda x, scan: observation.log_likelihood_ratio(x, scan, sensor)
-    at_mean = jax.vmap(one)(_along(state, scans), scans).sum()
-    return state, covariance, jnp.where(score < at_mean, score, at_mean), definite
+    return tracks, JointInfo(claims, overflow, keep & definite, start, start_score)
 
 
 def lines_of(tracks: Tracks) -> Lines:
@@ -297,25 +221,10 @@ def lines_of(tracks: Tracks) -> Lines:
     position, velocity = tracks.mean[:, :2], tracks.mean[:, 2:4]
     moves = tracks.mask & (velocity != 0).any(-1)
     # A target that stands still has no line: it is masked out.
-    along = jnp.where(moves[:, None], velocity, 1.0)
-    rho, theta = line_through(position, position + along, jnp.zeros(2, position.dtype))
+    step = jnp.where(moves[:, None], velocity, 1.0)
+    rho, theta = line_through(position, position + step, jnp.zeros(2, position.dtype))
     clear = lambda x: jnp.where(moves, x, 0.0)
     return Lines(clear(rho), clear(theta), clear(tracks.log_score), moves)
-
-
-def _cleaned(scans: Any) -> tuple[Any, Array]:
-    """Return scans with a weight for every detection and a time for every look, and the end."""
-    counts = scans.mask & scans.valid[:, None]
-    weight = jnp.ones(counts.shape, scans.time_s.dtype) if scans.weight is None else scans.weight
-    _, end = look_times(scans)
-    time_s = jnp.where(scans.valid, scans.time_s, end)
-    return scans._replace(time_s=time_s, weight=jnp.where(counts, weight, 0.0)), end
-
-
-def _along(state: Array, scans: Scan | BeamScan) -> Array:
-    """Return a state of the last look at every look, [K, 4]."""
-    dt, _ = look_times(scans)
-    return propagate(jnp.broadcast_to(state, (dt.shape[0], *state.shape)), dt)
 
 
 def _every_third(scans: Any) -> Any:
@@ -325,26 +234,3 @@ def _every_third(scans: Any) -> Any:
     behind = jnp.arange(looks - 1, -1, -_SOME, dtype=jnp.int32)[::-1] - (looks - 1)
     # What wraps around stands behind the last valid look, and says nothing.
     return jax.tree.map(lambda x: x[(last + behind) % looks], scans)
-
-
-def _weak_prior(speed: SpeedGate, dtype: Any) -> Array:
-    """Return an information that says next to nothing: velocities are of the order of the gate's.
-
-    Positions 100 s of travel apart: it keeps the samples finite where the detections do not.
-    """
-    v = jnp.asarray(speed.v_max_m_s, dtype)
-    return jnp.diag(jnp.stack([(100 * v) ** -2, (100 * v) ** -2, v**-2, v**-2]))
-
-
-def _normal_points(samples: int) -> np.ndarray:
-    """Return evenly spread standard normal points, [samples, 4]: no draw, so no key.
-
-    A Kronecker sequence through the inverse distribution function, every point with its mirror
-    image, scaled to unit variances.
-    """
-    half = (samples + 1) // 2
-    ratio = 1.1673039782614187  # the root of r⁵ = r + 1
-    uniform = (0.5 + np.outer(np.arange(1, half + 1), ratio ** -np.arange(1.0, 5.0))) % 1
-    normal = np.vectorize(NormalDist().inv_cdf)(np.clip(uniform, 1e-9, 1 - 1e-9))
-    points = np.concatenate([normal, -normal])[:samples]
-    return points / np.sqrt((points**2).mean(0))

@@ -82,39 +82,6 @@ def counting(scans: Scan) -> Array:
     return there if scans.weight is None else there & (jnp.where(there, scans.weight, 0.0) > 0)
 
 
-def pack_detections(scans: Scan, detections: int | None) -> tuple[Scan, Array]:
-    """Return scans with their detections, in order, at the front of fewer places a look.
-
-    Args:
-        scans: K looks stacked; a detection of weight 0 counts as none.
-        detections: places a look; None, or no fewer than there are: the scans as they are.
-
-    Returns:
-        The scans, and whether some look had more detections than fit.
-
-    Example:
-        >>> scans = Scan(jnp.zeros(1), jnp.ones(1, bool), jnp.array([[[1.0, 1.0], [2.0, 3.0]]]),
-        ...              jnp.array([[False, True]]))
-        >>> packed, crowded = pack_detections(scans, 1)
-        >>> print(packed.position_m[0], crowded)
-        [[2. 3.]] False
-    """
-    counts = counting(scans)
-    if detections is None or detections >= counts.shape[1]:
-        return scans, jnp.asarray(False)
-    order = jnp.argsort(~counts, axis=1, stable=True)[:, :detections]
-    take = lambda x: None if x is None else jax.vmap(lambda row, i: row[i])(x, order)
-    packed = scans._replace(
-        position_m=take(scans.position_m),
-        mask=take(counts),
-        covariance_m2=take(scans.covariance_m2),
-        weight=take(scans.weight),
-        delay_s=take(scans.delay_s),
-        intensity=take(scans.intensity),
-    )
-    return packed, (counts.sum(-1) > detections).any()
-
-
 def candidate_pairs(scans: Scan, origin_m: Array, speed: SpeedGate | None, *, pairs: int) -> Pairs:
     """Return the pairs of detections of successive looks that one target could have caused.
 

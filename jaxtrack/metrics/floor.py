@@ -17,7 +17,6 @@ import jax.numpy as jnp
 
 from jaxtrack.models.frames import earth_to_polar
 from jaxtrack.models.motion import propagate
-from jaxtrack.models.observation import Observation
 from jaxtrack.models.sonar import BeamSonar, check_sonar
 from jaxtrack.numerics.checks import check_array, check_size
 from jaxtrack.numerics.definite import scaled_inverse, scaled_root
@@ -149,9 +148,7 @@ def known_posterior_mean(
     return PosteriorMean(state, covariance, 1 / (weight**2).sum())
 
 
-def all_pass_at_truth(
-    truth: Array, mask: Array, scans: Any, sensor: Any, gate: Any, *, observation: Observation
-) -> Array:
+def all_pass_at_truth(scores: Array, mask: Array, gate: Array | float) -> Array:
     """Return whether every target's score, taken at the truth, passes a gate.
 
     Its mean over runs is the information ceiling: where the window does not tell a target from
@@ -159,26 +156,18 @@ def all_pass_at_truth(
     above the score at the truth, so a search can pass this share a little.)
 
     Args:
-        truth: [M, 4] states at the time of the last look.
+        scores: [M] of the true states, by the likelihood or the evidence that the gate is for.
         mask: [M] which targets exist.
-        scans: K looks stacked.
-        sensor: the observation's.
         gate: in nats.
-        observation: the sensor's likelihood.
 
     Example:
-        >>> from jaxtrack.models.beams import BEAMS, BeamSensor
-        >>> from jaxtrack.types import BeamScan
-        >>> scans = BeamScan(jnp.zeros(1), jnp.ones(1, bool), jnp.full((1, 9), 50.0),
-        ...                  jnp.arange(9)[None] == 4, Pose(jnp.zeros((1, 2)), jnp.zeros(1)))
-        >>> truth, there = jnp.array([[50.0, 0.0, 0.0, 0.0]]), jnp.ones(1, bool)
-        >>> print(all_pass_at_truth(truth, there, scans, BeamSensor(), 3.0, observation=BEAMS))
-        True
+        >>> scores, there = jnp.array([12.0, 3.0]), jnp.array([True, False])
+        >>> print(all_pass_at_truth(scores, there, 9.0), all_pass_at_truth(scores, there, 15.0))
+        True False
     """
-    check_array("truth", truth, shape=("M", 4))
-    check_array("mask", mask, shape=jnp.shape(truth)[:1])
-    scores = observation.scores(jnp.where(mask[:, None], truth, 0.0), scans, sensor)
-    return ((scores >= gate) | ~mask).all()
+    check_array("scores", scores, shape=("M",))
+    check_array("mask", mask, shape=jnp.shape(scores))
+    return ((scores >= jnp.asarray(gate, scores.dtype)) | ~mask).all()
 
 
 def _check(detections: KnownDetections, sonar: BeamSonar, start: Array, beams: int) -> None:

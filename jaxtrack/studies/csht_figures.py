@@ -9,11 +9,11 @@ import jax
 import numpy as np
 import xarray as xr
 
-from jaxtrack.hough import clustering_statistic
+from jaxtrack.hough import clustering_statistic, pack_beams
 from jaxtrack.hough.slope_intercept import cell_centres, hard_votes, points_of
 from jaxtrack.sensors import motion_elements_scene, observe_beams
 from jaxtrack.studies import csht_paper
-from jaxtrack.studies.csht_trial import BEAM_COUNT, KNOWN, METHODS, as_positions
+from jaxtrack.studies.csht_trial import BEAM_COUNT, KNOWN, METHODS
 from jaxtrack.types import Array, Key, Scan, Tracks
 
 
@@ -87,7 +87,7 @@ def _window(key: Key, false_alarms: str) -> tuple[Scan, dict[str, tuple[Tracks, 
     def run(key: Key) -> Any:
         scene = motion_elements_scene()
         scans = observe_beams(key, *scene, beams=BEAM_COUNT, false_alarms=false_alarms)
-        positions = as_positions(scans, scene.sonar, BEAM_COUNT)
+        positions, _ = pack_beams(scans, scene.sonar, BEAM_COUNT)
         params = clustering_statistic.ClusteringParams()
         found = {}
         for name, estimate in (

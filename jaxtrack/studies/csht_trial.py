@@ -11,17 +11,18 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxtrack.hough import SpeedGate, clustering_statistic, joint, pack_detections
+from jaxtrack.hough import SpeedGate, clustering_statistic, joint, pack_beams
 from jaxtrack.hough.slope_intercept import cell_centres, hard_votes, points_of
 from jaxtrack.metrics import (
     KnownDetections,
+    all_pass_at_truth,
     known_least_squares,
     known_posterior_mean,
     ospa,
 )
 from jaxtrack.models import BEAMS, BeamSensor, BeamSonar
-from jaxtrack.sensors import SonarScene, observe_beams, observe_known_beams, scan_of_beams
-from jaxtrack.types import Array, BeamScan, Key, Scan, Tracks
+from jaxtrack.sensors import SonarScene, observe_beams, observe_known_beams
+from jaxtrack.types import Array, BeamScan, Key, Tracks
 
 BEAM_COUNT = 90
 CUTOFF = 20.0  # metres, and metres a second
@@ -75,7 +76,7 @@ def trial(false_alarms: str) -> Callable[[Key, Inputs], Outcome]:
             look, *scene, beams=BEAM_COUNT, false_alarms=false_alarms
         )
         tracks, info = _joint(scans, scene.sonar, inputs.gate, false_alarms)
-        positions = as_positions(scans, scene.sonar, POSITIONS[false_alarms])
+        positions, _ = pack_beams(scans, scene.sonar, POSITIONS[false_alarms])
         paper = clustering_statistic.ClusteringParams()
         sht, _ = clustering_statistic.threshold_estimate(positions, paper)
         csht, _ = clustering_statistic.estimate(positions, paper)
@@ -104,7 +105,7 @@ def trial(false_alarms: str) -> Callable[[Key, Inputs], Outcome]:
         score = jax.vmap(
             lambda x: joint.evidence(x, scans, sensor, SPEED, samples=samples, observation=BEAMS)[2]
         )(truth)
-        passes = ((score >= jnp.asarray(inputs.gate, score.dtype)) | ~there).all()
+        passes = all_pass_at_truth(score, there, inputs.gate)
         effective = jnp.where(there, means.effective_samples, jnp.inf).min()
         return Outcome(
             errors, there.sum(), passes, info.overflow, effective, within=jnp.asarray(True)
@@ -135,7 +136,7 @@ def vote_counts(false_alarms: str) -> Callable[[Key, SonarScene], tuple[Array, A
 
     def run(key: Key, scene: SonarScene) -> tuple[Array, Array]:
         scans = observe_beams(key, *scene, beams=BEAM_COUNT, false_alarms=false_alarms)
-        positions = as_positions(scans, scene.sonar, POSITIONS[false_alarms])
+        positions, _ = pack_beams(scans, scene.sonar, POSITIONS[false_alarms])
         paper = clustering_statistic.ClusteringParams()
         sizes = clustering_statistic.ClusteringSizes().lines
         votes = hard_votes(points_of(positions, 0), paper.x, sizes=sizes)
@@ -162,12 +163,6 @@ def _joint(
 ) -> tuple[Tracks, joint.JointInfo]:
     params = joint.JointParams(assumed(sonar, false_alarms), SPEED, gate)
     return joint.estimate(scans, params, sizes=_SIZES[false_alarms], observation=BEAMS)
-
-
-def as_positions(scans: BeamScan, sonar: BeamSonar, detections: int) -> Scan:
-    """Return the looks as positions in the earth frame without covariances, in so many places."""
-    positions = jax.vmap(scan_of_beams, (0, None))(scans, sonar)
-    return pack_detections(positions._replace(covariance_m2=None), detections)[0]
 
 
 def _known(scans: BeamScan, origin: Array, target: int) -> KnownDetections:

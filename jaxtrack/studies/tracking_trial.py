@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxtrack.hough import clustering_statistic, joint
+from jaxtrack.hough import clustering_statistic, joint, pack_beams
 from jaxtrack.hough.slope_intercept import LineSizes
 from jaxtrack.metrics import KnownDetections, known_least_squares, nees, ospa
 from jaxtrack.models import BEAMS, BeamSonar
@@ -30,7 +30,6 @@ from jaxtrack.studies.csht_trial import (
     ORDER,
     POSITIONS,
     SPEED,
-    as_positions,
     assumed,
 )
 from jaxtrack.tracking import (
@@ -181,7 +180,7 @@ def _tracker(
         )
         return tracker, scans
     if name == "hough CSHT":
-        looks = as_positions(scans, sonar, POSITIONS[false_alarms])
+        looks, _ = pack_beams(scans, sonar, POSITIONS[false_alarms])
         paper = clustering_statistic.ClusteringParams()
         wide = clustering_statistic.ClusteringSizes(lines=LineSizes(positions=75))
         tracker = hough_tracker(

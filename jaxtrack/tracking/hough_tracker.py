@@ -37,9 +37,9 @@ class HoughTrackerParams(NamedTuple):
     """What the tracker knows of targets. Traced."""
 
     sigma_a_m_s2: Array | float = 0.01  # [] white-noise acceleration of each coordinate
-    # Squared distance in [x, y, vx, vy]: 99.9 % of four states, were the two independent; as they
-    # share looks it holds nearly all, and young tracks need that width.
-    gate: Array | float = 18.5
+    # Squared distance in [x, y, vx, vy]. Wide, as the vote over few looks may leap from one maximum
+    # to another, and what lies out of the gate starts a second track of the same target.
+    gate: Array | float = 160.0
     lifecycle: LifecycleParams = LifecycleParams(confirm_hits=1, delete_misses=3)
 
 
@@ -176,7 +176,7 @@ def hough_tracker(
             covariance=covariance,
             log_score=jnp.where(hit, estimates.log_score[columns], table.tracks.log_score),
         )
-        graded = grade(table._replace(tracks=updated), hit, counted | hit, params.lifecycle)
+        graded = grade(table._replace(tracks=updated), hit, counted | hit, valid, params.lifecycle)
         births = Births(
             estimates.mean, estimates.covariance, estimates.mask & ~claimed, estimates.log_score
         )

@@ -185,7 +185,9 @@ def kalman_tracker(
             log_score=score,
             existence=jnp.where(tracks.mask, jax.nn.sigmoid(score), 0.0),
         )
-        graded = grade(table._replace(tracks=moved), claimed >= _SEEN, counted, params.lifecycle)
+        graded = grade(
+            table._replace(tracks=moved), claimed >= _SEEN, counted, scan.valid, params.lifecycle
+        )
         free = _unclaimed(predicted, scan, found.weight, tracks, params)
         births = _births(scan, free, noise_m2, params)
         admitted, full = admit(graded, births, params.lifecycle)

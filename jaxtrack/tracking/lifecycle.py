@@ -3,7 +3,8 @@
 A track is tentative when it is admitted. M hits among its last N counted looks confirm it, if its
 score is high enough; a confirmed track that misses a look coasts; too many misses in a row delete
 it. What counts is for the tracker to say: a look that is not valid, or does not reach the track, is
-no miss.
+no miss. Out of the sensor's sight nothing can confirm a tentative track, which goes as if it had
+missed; a confirmed one is kept for long, in case it comes back.
 """
 
 import math
@@ -22,7 +23,8 @@ class LifecycleParams(NamedTuple):
     confirm_hits: Array | int = 3  # M, among the last N counted looks
     confirm_score: Array | float = -math.inf  # and the log score has to be this
     delete_misses: Array | int = 5  # in a row, of a confirmed track
-    delete_tentative_misses: Array | int = 2  # in a row, of a tentative one
+    delete_tentative_misses: Array | int = 2  # valid looks in a row, of a tentative one
+    delete_unseen: Array | int = 100  # valid looks in a row without a hit, of any, seen or not
 
 
 class TrackTable(NamedTuple):
@@ -31,6 +33,7 @@ class TrackTable(NamedTuple):
     tracks: Tracks
     hit: Array  # [M, N] whether the last N counted looks were hits, the latest last
     misses: Array  # [M] int, in a row
+    unseen: Array  # [M] int, valid looks since the last hit, in sight or not
     next_identity: Array  # [] int
 
 
@@ -94,17 +97,21 @@ def empty_table(time_s: Array, *, tracks: int, state: int, looks: int) -> TrackT
         nobody,
         jnp.zeros((tracks, looks), bool),
         jnp.zeros(tracks, jnp.int32),
+        jnp.zeros(tracks, jnp.int32),
         jnp.zeros((), jnp.int32),
     )
 
 
-def grade(table: TrackTable, hit: Array, counted: Array, params: LifecycleParams) -> TrackTable:
+def grade(
+    table: TrackTable, hit: Array, counted: Array, valid: Array, params: LifecycleParams
+) -> TrackTable:
     """Return the table after a look: tracks confirmed, coasting or deleted.
 
     Args:
         table: before.
         hit: [M] the look held a detection of the track.
-        counted: [M] the look could have held one; where not, nothing changes.
+        counted: [M] the look could have held one; where not, it is no miss.
+        valid: [] it was a look; where not, nothing changes.
         params: the numbers of hits and misses, and the score.
 
     Example:
@@ -113,7 +120,7 @@ def grade(table: TrackTable, hit: Array, counted: Array, params: LifecycleParams
         >>> table, _ = admit(table, one, LifecycleParams())
         >>> yes, no = jnp.ones(1, bool), jnp.zeros(1, bool)
         >>> for seen in (yes, yes, no):
-        ...     table = grade(table, seen, yes, LifecycleParams())
+        ...     table = grade(table, seen, yes, jnp.array(True), LifecycleParams())
         ...     print(table.tracks.stage)
         [1]
         [2]
@@ -122,25 +129,26 @@ def grade(table: TrackTable, hit: Array, counted: Array, params: LifecycleParams
     check_array("hit", hit, shape=table.misses.shape)
     check_array("counted", counted, shape=table.misses.shape)
     tracks = table.tracks
-    counted = counted & tracks.mask
+    check_array("valid", valid, shape=())
+    counted = counted & tracks.mask & valid
     hit = hit & counted
     history = jnp.concatenate([table.hit[:, 1:], hit[:, None]], axis=1)
     history = jnp.where(counted[:, None], history, table.hit)
     misses = jnp.where(counted, jnp.where(hit, 0, table.misses + 1), table.misses)
+    unseen = jnp.where(tracks.mask & valid, jnp.where(hit, 0, table.unseen + 1), table.unseen)
 
     enough = history.sum(1, dtype=jnp.int32) >= jnp.asarray(params.confirm_hits)
     enough = enough & (tracks.log_score >= params.confirm_score)
     confirmed = (tracks.stage >= Stage.CONFIRMED) | (hit & enough)
-    patience = jnp.where(
-        confirmed,
-        jnp.asarray(params.delete_misses),
-        jnp.asarray(params.delete_tentative_misses),
-    )
     stage = jnp.where(misses > 0, Stage.COASTING, Stage.CONFIRMED)
     stage = jnp.where(confirmed, stage, Stage.TENTATIVE).astype(tracks.stage.dtype)
     stage = jnp.where(counted, stage, tracks.stage)
-    keep = tracks.mask & ~(counted & (misses >= patience))
-    graded = table._replace(tracks=tracks._replace(stage=stage), hit=history, misses=misses)
+    gone = (misses >= params.delete_misses) | (unseen >= params.delete_unseen)
+    gone = jnp.where(confirmed, gone, unseen >= params.delete_tentative_misses)
+    keep = tracks.mask & ~(gone & valid)
+    graded = table._replace(
+        tracks=tracks._replace(stage=stage), hit=history, misses=misses, unseen=unseen
+    )
     return _only(graded, keep)
 
 
@@ -197,6 +205,7 @@ def admit(table: TrackTable, births: Births, params: LifecycleParams) -> tuple[T
         admitted,
         fill(first_hit, table.hit),
         fill(jnp.zeros_like(table.misses), table.misses),
+        fill(jnp.zeros_like(table.unseen), table.unseen),
         table.next_identity + number,
     )
     return after, wanted > number
@@ -218,4 +227,5 @@ def _only(table: TrackTable, keep: Array) -> TrackTable:
         tracks=tracks._replace(**fields),
         hit=clear(table.hit, False),
         misses=clear(table.misses, 0),
+        unseen=clear(table.unseen, 0),
     )

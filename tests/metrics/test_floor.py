@@ -14,10 +14,10 @@ from jaxtrack.metrics import (
     known_least_squares,
     known_posterior_mean,
 )
-from jaxtrack.models import BEAMS, BeamSensor, BeamSonar
-from jaxtrack.types import BeamScan, Pose
+from jaxtrack.models import BeamSonar
+from jaxtrack.types import Pose
 from tests.oracles import beam_floor as oracle
-from tests.oracles.beam_joint import score, seen_from_sonar
+from tests.oracles.beam_joint import seen_from_sonar
 
 pytestmark = pytest.mark.slow  # compiles for minutes where nothing is cached
 
@@ -94,18 +94,13 @@ def test_too_few_detections_give_no_nan():
             assert np.isfinite(leaf).all()
 
 
-def test_the_ceiling_is_the_score_at_the_truth():
-    rng = np.random.default_rng(0)
-    mask = rng.random((4, 9)) < 0.5
-    pose = Pose(np.zeros((4, 2)), np.zeros(4))
-    scans = BeamScan(0.5 * np.arange(4.0), np.ones(4, bool), 150 * rng.random((4, 9)), mask, pose)  # pyright: ignore
-    truth = np.array([[60.0, 10.0, 1.0, 0.0], [50.0, -20.0, 0.0, 1.0], [np.nan] * 4])
-    there = np.array([True, True, False])
-    scores = [score(x, 1.5, scans, SONAR, 0.1, 0.02) for x in truth[:2]]
-    passes = jax.jit(functools.partial(all_pass_at_truth, observation=BEAMS))
-    for gate, expected in ((min(scores) - 1e-3, True), (min(scores) + 1e-3, False)):
-        got = passes(truth, there, scans, BeamSensor(SONAR, 0.1), gate)
-        assert bool(got) == expected
+def test_the_ceiling_asks_all_that_exist():
+    scores, there = jnp.array([12.0, 9.5, -jnp.inf, jnp.nan]), np.array([True, True, False, False])
+    passes = jax.jit(all_pass_at_truth)
+    assert passes(scores, there, 9.4)
+    assert not passes(scores, there, 9.6)  # one of them does not
+    assert not passes(scores, there | [False, False, True, False], 9.4)
+    assert passes(scores, np.zeros(4, bool), 9.4)  # of nobody, all pass
 
 
 def test_wrong_shapes_are_told():

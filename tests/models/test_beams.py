@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from jaxtrack.models import BEAMS, BeamSensor, BeamSonar
-from jaxtrack.models.beams import angle, beam_positions
+from jaxtrack.models.beam_place import angle
+from jaxtrack.models.beams import beam_positions
 from jaxtrack.types import BeamScan, Pose
 from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import beam_joint as oracle

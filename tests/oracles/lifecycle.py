@@ -11,6 +11,7 @@ class Track:
     confirmed: bool = False
     history: list = dataclasses.field(default_factory=lambda: [True])
     misses: int = 0
+    unseen: int = 0
 
     @property
     def stage(self):
@@ -22,25 +23,31 @@ class Track:
 class Book:
     """Slots for tracks; None where one is free."""
 
-    def __init__(self, slots, last, confirm, delete, delete_tentative, score=float("-inf")):
+    def __init__(
+        self, slots, last, confirm, delete, delete_tentative, score=float("-inf"), unseen=100
+    ):
         self.slots = [None] * slots
         self.last, self.confirm = last, confirm
         self.delete, self.delete_tentative = delete, delete_tentative
-        self.score, self.next_identity = score, 0
+        self.score, self.unseen, self.next_identity = score, unseen, 0
 
-    def grade(self, hit, counted):
+    def grade(self, hit, counted, valid=True):
+        if not valid:
+            return
         for slot, track in enumerate(self.slots):
-            if track is None or not counted[slot]:
+            if track is None:
                 continue
-            track.history = ([*track.history, bool(hit[slot])])[-self.last :]
-            if hit[slot]:
-                track.misses = 0
-                if sum(track.history) >= self.confirm and track.log_score >= self.score:
-                    track.confirmed = True
+            track.unseen = 0 if hit[slot] and counted[slot] else track.unseen + 1
+            if counted[slot]:
+                track.history = ([*track.history, bool(hit[slot])])[-self.last :]
+                track.misses = 0 if hit[slot] else track.misses + 1
+                enough = sum(track.history) >= self.confirm and track.log_score >= self.score
+                track.confirmed |= bool(hit[slot]) and enough
+            if track.confirmed:
+                gone = track.misses >= self.delete or track.unseen >= self.unseen
             else:
-                track.misses += 1
-            limit = self.delete if track.confirmed else self.delete_tentative
-            if track.misses >= limit:
+                gone = track.unseen >= self.delete_tentative
+            if gone:
                 self.slots[slot] = None
 
     def admit(self, candidates):

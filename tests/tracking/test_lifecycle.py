@@ -8,14 +8,14 @@ from jaxtrack.types import Stage
 from tests.oracles.lifecycle import Book
 
 SLOTS, STATE, LAST, CANDIDATES = 4, 2, 5, 3
-PARAMS = LifecycleParams(confirm_hits=3, delete_misses=3, delete_tentative_misses=2)
+PARAMS = LifecycleParams(3, delete_misses=3, delete_tentative_misses=2, delete_unseen=5)
 
 
 @jax.jit
 def run(looks, params=PARAMS):
     def step(table, look):
-        hit, counted, births = look
-        table = grade(table, hit, counted, params)
+        hit, counted, valid, births = look
+        table = grade(table, hit, counted, valid, params)
         table, crowded = admit(table, births, params)
         return table, (table, crowded)
 
@@ -23,13 +23,14 @@ def run(looks, params=PARAMS):
     return jax.lax.scan(step, begin, looks)[1]
 
 
-def random_looks(seed, looks, p_hit=0.6, p_counted=0.9, p_birth=0.15):
+def random_looks(seed, looks, p_hit=0.6, p_counted=0.8, p_birth=0.15):
     rng = np.random.default_rng(seed)
     mask = rng.random((looks, CANDIDATES)) < p_birth
     mean = np.where(mask[..., None], rng.normal(size=(looks, CANDIDATES, STATE)), np.nan)
     return (
         rng.random((looks, SLOTS)) < p_hit,
         rng.random((looks, SLOTS)) < p_counted,
+        rng.random(looks) < 0.9,
         Births(
             mean,
             np.where(mask[..., None, None], np.eye(STATE), np.nan),
@@ -42,14 +43,14 @@ def random_looks(seed, looks, p_hit=0.6, p_counted=0.9, p_birth=0.15):
 @pytest.mark.parametrize("hits", [1, 2])
 def test_few_hits_confirm_only_what_has_the_score(hits):
     looks = random_looks(7, 40, p_hit=0.7, p_birth=0.3)
-    score = float(np.nanmedian(looks[2].log_score))
+    score = float(np.nanmedian(looks[3].log_score))
     tables, _ = run(looks, PARAMS._replace(confirm_hits=hits, confirm_score=score))
-    book = Book(SLOTS, LAST, hits, 3, 2, score)
+    book = Book(SLOTS, LAST, hits, 3, 2, score, unseen=5)
     seen = set()
     for k in range(40):
-        book.grade(looks[0][k], looks[1][k])
-        there = np.flatnonzero(looks[2].mask[k])
-        book.admit([(looks[2].mean[k, n], looks[2].log_score[k, n]) for n in there])
+        book.grade(*(x[k] for x in looks[:3]))
+        there = np.flatnonzero(looks[3].mask[k])
+        book.admit([(looks[3].mean[k, n], looks[3].log_score[k, n]) for n in there])
         stages = [0 if track is None else track.stage for track in book.slots]
         np.testing.assert_array_equal(tables.tracks.stage[k], stages)
         seen |= {(track.history.count(True) >= hits, track.stage) for track in book.slots if track}
@@ -60,11 +61,11 @@ def test_few_hits_confirm_only_what_has_the_score(hits):
 def test_it_does_what_a_book_of_objects_does(seed):
     looks = random_looks(seed, 40, p_hit=0.3 + 0.06 * seed)
     tables, crowded = run(looks)
-    book = Book(SLOTS, LAST, 3, 3, 2)
+    book = Book(SLOTS, LAST, 3, 3, 2, unseen=5)
     stages = set()
     for k in range(40):
-        book.grade(looks[0][k], looks[1][k])
-        births = looks[2]
+        book.grade(*(x[k] for x in looks[:3]))
+        births = looks[3]
         there = np.flatnonzero(births.mask[k])
         full = book.admit([(births.mean[k, n], births.log_score[k, n]) for n in there])
         assert bool(crowded[k]) == full
@@ -79,6 +80,7 @@ def test_it_does_what_a_book_of_objects_does(seed):
                 assert tracks.identity[slot] == track.identity
                 assert tracks.stage[slot] == track.stage
                 assert tables.misses[k, slot] == track.misses
+                assert tables.unseen[k, slot] == track.unseen
                 np.testing.assert_array_equal(tracks.mean[slot], track.mean)
                 np.testing.assert_array_equal(tracks.covariance[slot], np.eye(STATE))
                 stages.add(track.stage)
@@ -87,17 +89,35 @@ def test_it_does_what_a_book_of_objects_does(seed):
 
 def test_empty_looks_delete_all_and_lost_ones_none():
     looks = 60
-    hit, counted, births = random_looks(1, looks, p_hit=1.0, p_counted=1.0, p_birth=0.3)
+    hit, counted, _, births = random_looks(1, looks, p_hit=1.0, p_counted=1.0, p_birth=0.3)
+    valid = np.ones(looks, bool)
     births = births._replace(mask=births.mask & (np.arange(looks) < 10)[:, None])
     empty = hit & (np.arange(looks) < 20)[:, None]
-    tables, _ = run((empty, counted, births))
+    tables, _ = run((empty, counted, valid, births))
     assert tables.tracks.mask[19].all()
     assert not tables.tracks.mask[-1].any()
     assert tables.next_identity[-1] == tables.next_identity[19]
-    lost = counted & (np.arange(looks) < 20)[:, None]
-    tables, _ = run((empty, lost, births))
+    tables, _ = run((empty, counted, valid & (np.arange(looks) < 20), births))
     for leaf in jax.tree.leaves(tables):
         np.testing.assert_array_equal(leaf[-1], leaf[19])
+
+
+def test_out_of_sight_tentative_tracks_go_and_confirmed_ones_stay_for_long():
+    looks = 12
+    step = np.arange(looks)
+    there = np.zeros((looks, CANDIDATES), bool)
+    there[0, 0] = there[3, 0] = True  # the second has no time to be confirmed
+    births = Births(
+        np.zeros((looks, CANDIDATES, STATE)),
+        np.broadcast_to(np.eye(STATE), (looks, CANDIDATES, STATE, STATE)),
+        there,
+        np.zeros((looks, CANDIDATES)),
+    )
+    seen = np.broadcast_to((step < 5)[:, None], (looks, SLOTS))
+    tables, _ = run((seen, seen, np.ones(looks, bool), births))
+    lives = [np.flatnonzero(np.asarray(tables.tracks.identity == who).any(1)) for who in (0, 1)]
+    assert tables.tracks.stage[4].tolist() == [Stage.CONFIRMED, Stage.TENTATIVE, 0, 0]
+    assert [life[-1] for life in lives] == [8, 5]
 
 
 def test_identities_are_never_used_again():
@@ -114,6 +134,6 @@ def test_identities_are_never_used_again():
 def test_wrong_shapes_are_named():
     table = empty_table(jnp.zeros(()), tracks=2, state=4, looks=3)
     with pytest.raises(ValueError, match=r"hit: got shape"):
-        grade(table, jnp.ones(3, bool), jnp.ones(2, bool), PARAMS)
+        grade(table, jnp.ones(3, bool), jnp.ones(2, bool), jnp.array(True), PARAMS)
     with pytest.raises(ValueError, match=r"tracks: got 0"):
         empty_table(jnp.zeros(()), tracks=0, state=4, looks=3)
