@@ -38,7 +38,7 @@ bench: $(DEV) ## ours against NumPy, the paper's times and other libraries
 	$(BIN)/python benchmarks/moments.py
 	$(BIN)/python benchmarks/sonar.py
 	$(BIN)/python benchmarks/trackers.py
-	$(BIN)/python benchmarks/particle.py
+	$(BIN)/python benchmarks/particle.py speed
 
 notebooks: $(DEV) ## execute every notebook, leaving the files as they are
 	for book in notebooks/*.ipynb; do \
