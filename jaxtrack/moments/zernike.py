@@ -39,8 +39,9 @@ def zernike(xy: Array, weight: Array, *, orders: Orders, radius: Array | float) 
 
         R_nm(ρ) = Σ_s (−1)^s (n − s)! / (s! ((n + |m|)/2 − s)! ((n − |m|)/2 − s)!) ρ^(n − 2s)
 
-    Turned by φ about the origin, points have Z_nm exp(−j m φ): |Z_nm| stays. Mirrored in the x axis,
-    they have the conjugate. Points and radius times a factor, or weights times one, change nothing.
+    Turned by φ about the origin, points have Z_nm exp(−j m φ): |Z_nm| stays. Mirrored in the
+    x axis, they have the conjugate. Points and radius times a factor, or weights times one, change
+    nothing.
     Points moved change everything: subtract the centre first, a particle or the centroid. Without
     weight in the disc, the moments are zero.
 

@@ -5,6 +5,13 @@ from jaxtrack.plots.comparisons import run_times, scores
 from jaxtrack.plots.film import film
 from jaxtrack.plots.meetings import meetings
 from jaxtrack.plots.motion_elements import coordinate_over_time, error_curves, vote_plane
+from jaxtrack.plots.particles import (
+    deviations,
+    pursuit,
+    target_paths,
+    template_frames,
+    turned_steps,
+)
 from jaxtrack.plots.pings import pings_map
 from jaxtrack.plots.scene import scene
 from jaxtrack.plots.sinusoids import sinusoids
@@ -14,6 +21,7 @@ from jaxtrack.plots.tracking import errors_over_time, maps, positions_over_time
 __all__ = [
     "accumulations",
     "coordinate_over_time",
+    "deviations",
     "error_curves",
     "errors_over_time",
     "film",
@@ -21,10 +29,14 @@ __all__ = [
     "meetings",
     "pings_map",
     "positions_over_time",
+    "pursuit",
     "run_times",
     "scene",
     "scores",
     "sinusoids",
     "style",
+    "target_paths",
+    "template_frames",
+    "turned_steps",
     "vote_plane",
 ]

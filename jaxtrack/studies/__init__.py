@@ -7,10 +7,11 @@ summary through `studies.store`. The same seed and number of trials give the sam
 
 from jaxtrack.studies.ccm import STUDY as _CCM
 from jaxtrack.studies.csht import STUDY as _CSHT
+from jaxtrack.studies.moment import STUDY as _MOMENT
 from jaxtrack.studies.nht import STUDY as _NHT
 from jaxtrack.studies.registry import Context, Study
 from jaxtrack.studies.tracking import STUDY as _TRACKING
 
-STUDIES: dict[str, Study] = {study.name: study for study in (_NHT, _CSHT, _CCM, _TRACKING)}
+STUDIES: dict[str, Study] = {study.name: study for study in (_NHT, _CSHT, _CCM, _TRACKING, _MOMENT)}
 
 __all__ = ["STUDIES", "Context", "Study"]

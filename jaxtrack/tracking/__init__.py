@@ -22,8 +22,23 @@ from jaxtrack.tracking.lifecycle import (
     empty_table,
     grade,
 )
+from jaxtrack.tracking.moment_tracker import (
+    MomentParams,
+    MomentTrackerInfo,
+    MomentTrackerState,
+    moment_template,
+    moment_tracker,
+)
 from jaxtrack.tracking.motion_elements import ESTIMATORS, MotionElements, motion_elements
 from jaxtrack.tracking.ping_detection import PingDetection, PingDetectionInfo, detect_in_pings
+from jaxtrack.tracking.shape_tracker import (
+    ShapeParams,
+    ShapeTemplate,
+    ShapeTrackerInfo,
+    ShapeTrackerState,
+    shape_template,
+    shape_tracker,
+)
 from jaxtrack.tracking.sliding import SlidingInfo, sliding
 from jaxtrack.tracking.track import TRACKERS, TrackInfo, track
 from jaxtrack.tracking.window import METHODS, WindowInfo, initiate_window
@@ -43,9 +58,16 @@ __all__ = [
     "KalmanTrackerParams",
     "KalmanTrackerState",
     "LifecycleParams",
+    "MomentParams",
+    "MomentTrackerInfo",
+    "MomentTrackerState",
     "MotionElements",
     "PingDetection",
     "PingDetectionInfo",
+    "ShapeParams",
+    "ShapeTemplate",
+    "ShapeTrackerInfo",
+    "ShapeTrackerState",
     "SlidingInfo",
     "TrackInfo",
     "TrackTable",
@@ -59,7 +81,11 @@ __all__ = [
     "initiate_window",
     "kalman_paper",
     "kalman_tracker",
+    "moment_template",
+    "moment_tracker",
     "motion_elements",
+    "shape_template",
+    "shape_tracker",
     "sliding",
     "track",
 ]

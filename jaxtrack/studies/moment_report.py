@@ -1,0 +1,221 @@
+"""The tables, claims and marks of the study `moment_tracking`.
+
+S of a run is the mean distance of the estimates from where the target was when the beam crossed it;
+a run is lost if its last five are farther than 3 m on average. Trackers that follow the side of the
+bucket that echoes are .29 m short of its middle: S beside it counts from there, for all alike.
+"""
+
+import numpy as np
+import xarray as xr
+from rich.table import Table
+
+from jaxtrack.studies.moment_paper import TABLES
+from jaxtrack.studies.moment_trial import OPTIMISED, OURS
+from jaxtrack.studies.tables import (
+    Figure,
+    Mark,
+    Row,
+    grid_table,
+    mean_of,
+    number,
+    rate,
+)
+
+_DRAWS = 1000  # of the bootstrap
+_LAST, _FAR_M = 5, 3.0
+_HU, _ZERNIKE, _LOW = "hu", "zernike", "low_zernike"
+CLEAN, NEAR = "clean", "two_objects"
+MOTIONS = ("static", "hovering", "following")
+
+
+def cell_name(motion: str, surroundings: str) -> str:
+    """Return how tables call a scene.
+
+    Example:
+        >>> cell_name("static", "two_objects")
+        'static, two objects'
+    """
+    return f"{motion}, {surroundings.replace('_', ' ')}"
+
+
+def tables(scores: xr.Dataset, sweeps: xr.Dataset | None = None) -> list[Table]:
+    """Return distances and losses, deviations beside the paper's, the sweeps, and its claims.
+
+    Args:
+        scores: of the scenes, [cell, trial, tracker], see `moment.dataset`.
+        sweeps: likewise; None: not made.
+    """
+    return [
+        *_distances(scores, "Scenes"),
+        _deviations(scores),
+        *(_distances(sweeps, "Sweeps") if sweeps is not None else []),
+        _claims(scores),
+    ]
+
+
+def _distances(scores: xr.Dataset, what: str) -> list[Table]:
+    """Return a table a measure."""
+    cells = [str(name) for name in scores.cell.values]
+    measures = {
+        "median S, m": lambda *at: median(s_m(scores, *at)),
+        "median S from the side, m": lambda *at: median(s_m(scores, *at, side=True)),
+        "mean S, m": lambda *at: mean_of(s_m(scores, *at)),
+        "share lost": lambda *at: _lost(scores, *at),
+    }
+    methods = [str(name) for name in scores.tracker.values]
+    return [
+        grid_table(
+            f"{what}: {name}, ± standard error",
+            methods,
+            cells,
+            [[_spread(of(cell, method)) for cell in cells] for method in methods],
+            trials=scores.sizes["trial"],
+        )
+        for name, of in measures.items()
+    ]
+
+
+def _deviations(scores: xr.Dataset) -> Table:
+    """Return means over runs of mean and variance in X and Y; the paper's tables 4, 6 and 8."""
+    names, lines = [], []
+    for motion in MOTIONS:
+        cell = cell_name(motion, CLEAN)
+        for method, printed in TABLES[motion].items():
+            error_m = scores.error_m.sel(cell=cell, tracker=method)
+            centre, square = (f("look").values for f in (error_m.mean, error_m.var))
+            line = []
+            for axis in range(2):
+                for values in (centre[:, axis], square[:, axis]):
+                    line.append(_spread(mean_of(values)))
+            names += [f"{motion}: {method}", "  paper"]
+            lines.append([*line, _spread(mean_of(s_m(scores, cell, method)))])
+            lines.append([number(value) for value in printed])
+    columns = ("mean X, m", "variance X, m²", "mean Y, m", "variance Y, m²", "mean S, m")
+    title = "Deviations in clean scenes, means over runs ± standard error, and tables 4, 6 and 8"
+    return grid_table(title, names, columns, lines, trials=scores.sizes["trial"])
+
+
+def _claims(scores: xr.Dataset) -> Table:
+    """Return where what the paper says holds: by the share of runs, or the share lost."""
+    cells = [cell_name(motion, around) for around in (CLEAN, NEAR) for motion in MOTIONS]
+    best = _ZERNIKE + OPTIMISED
+    claims = {
+        "Zernike has a lower S than Hu, both optimised": (best, _HU + OPTIMISED, s_m),
+        "… and a lower variance in X": (best, _HU + OPTIMISED, _variance_x),
+        "… and in Y": (best, _HU + OPTIMISED, _variance_y),
+        "the optimised transition lowers S of Zernike": (best, _ZERNIKE, s_m),
+        "… and of Hu": (_HU + OPTIMISED, _HU, s_m),
+    }
+    lines = [[_wins(*(of(scores, cell, m) for m in pair)) for cell in cells]
+             for *pair, of in claims.values()]  # fmt: skip
+    names = [*claims, "Hu without it soon fails to track", "Zernike tracks stably without it"]
+    fails = [is_lost(scores, cell, _HU) for cell in cells]
+    lines.append([_share(rate(float(x.sum()), len(x)), 0.5, above=True) for x in fails])
+    stays = [is_lost(scores, cell, _ZERNIKE) for cell in cells]
+    lines.append([_share(rate(float(x.sum()), len(x)), 0.05, above=False) for x in stays])
+    title = "Claims of the paper, by the share of runs that agree, or are lost (more than half; at most 5 %)"  # noqa: E501
+    return grid_table(title, names, cells, lines, trials=scores.sizes["trial"])
+
+
+def marks(scores: xr.Dataset) -> list[Row]:
+    """Return every figure that has a mark."""
+    at_most = lambda bound: Mark(bound, at_least=False)
+    rows, best, low = [], _ZERNIKE + OPTIMISED, _LOW + OPTIMISED
+    for motion in MOTIONS:
+        cell = cell_name(motion, CLEAN)
+        ours, theirs = (s_m(scores, cell, name) for name in (best, _HU + OPTIMISED))
+        rows += [
+            Row(f"{cell}: {best}, median S", median(ours, "m"), mark=at_most(0.30)),
+            Row(f"{cell}: {best} / hu, median S", _ratio(ours, theirs), mark=at_most(0.85)),
+            Row(f"{cell}: {low}, median S", median(s_m(scores, cell, low), "m"),
+                mark=at_most(0.20)),
+        ]  # fmt: skip
+        rows += [
+            Row(f"{cell}: {name}, lost", _lost(scores, cell, name), mark=at_most(0.15))
+            for name in (best, low)
+        ]
+    cell = cell_name("hovering", NEAR)
+    plain, turned = (is_lost(scores, cell, name).astype(float) for name in (_ZERNIKE, best))
+    rows.append(Row(f"{cell}: zernike, loss less by the optimised transition",
+                    mean_of(plain - turned), mark=Mark(0.15)))  # fmt: skip
+    for around, bound in ((CLEAN, 0.02), (NEAR, 0.05)):
+        for motion in MOTIONS:
+            cell = cell_name(motion, around)
+            middle = median(s_m(scores, cell, OURS), "m")
+            rows.append(Row(f"{cell}: {OURS}, lost", _lost(scores, cell, OURS),
+                            mark=at_most(bound)))  # fmt: skip
+            rows.append(Row(f"{cell}: {OURS}, median S", middle, mark=at_most(0.20)))
+    return rows
+
+
+def s_m(scores: xr.Dataset, cell: str, method: str, *, side: bool = False) -> np.ndarray:
+    """Return S of every run, [trial]; `side`: from what faces the vehicle, not from the middle."""
+    name = "side_error_m" if side else "error_m"
+    error_m = scores[name].sel(cell=cell, tracker=method)
+    gap_m = (error_m**2).sum("axis") ** 0.5
+    return gap_m.where(scores.crossed.sel(cell=cell)).mean("look").values
+
+
+def is_lost(scores: xr.Dataset, cell: str, method: str) -> np.ndarray:
+    """Return which runs are lost, [trial]."""
+    error_m = scores.error_m.sel(cell=cell, tracker=method).isel(look=slice(-_LAST, None))
+    return (((error_m**2).sum("axis") ** 0.5).mean("look") > _FAR_M).values
+
+
+def median(values: np.ndarray, unit: str = "") -> Figure:
+    """Return the median with a 95 % interval by the bootstrap.
+
+    Example:
+        >>> median(np.arange(101.0)).value
+        50.0
+    """
+    drawn = np.median(values[_draws(len(values))], axis=1)
+    lower, upper = np.quantile(drawn, [0.025, 0.975])
+    return Figure(float(np.median(values)), float(lower), float(upper), len(values), unit)
+
+
+def _ratio(ours: np.ndarray, theirs: np.ndarray) -> Figure:
+    """Return the quotient of two medians over the same runs, with its interval."""
+    draws = _draws(len(ours))
+    drawn = np.median(ours[draws], axis=1) / np.median(theirs[draws], axis=1)
+    lower, upper = np.quantile(drawn, [0.025, 0.975])
+    value = float(np.median(ours) / np.median(theirs))
+    return Figure(value, float(lower), float(upper), len(ours))
+
+
+def _draws(size: int) -> np.ndarray:
+    return np.random.default_rng(0).integers(0, size, (_DRAWS, size))
+
+
+def _variance_x(scores: xr.Dataset, cell: str, method: str) -> np.ndarray:
+    return scores.error_m.sel(cell=cell, tracker=method, axis="x").var("look").values
+
+
+def _variance_y(scores: xr.Dataset, cell: str, method: str) -> np.ndarray:
+    return scores.error_m.sel(cell=cell, tracker=method, axis="y").var("look").values
+
+
+def _lost(scores: xr.Dataset, cell: str, method: str) -> Figure:
+    lost = is_lost(scores, cell, method)
+    return rate(float(lost.sum()), len(lost))
+
+
+def _wins(ours: np.ndarray, theirs: np.ndarray) -> str:
+    """Return whether one is lower than the other on more than half of the same runs."""
+    return _share(rate(float((ours < theirs).sum()), len(ours)), 0.5, above=True)
+
+
+def _share(share: Figure, bound: float, *, above: bool) -> str:
+    over, under = share.lower > bound, share.upper < bound
+    holds, contrary = (over, under) if above else (under, over)
+    word = "holds" if holds else "contrary" if contrary else "open"
+    return f"{word}\n{number(share.value)} ± {number(_half(share))}"
+
+
+def _spread(figure: Figure) -> str:
+    return f"{number(figure.value)} ± {number(_half(figure))}"
+
+
+def _half(figure: Figure) -> float:
+    """Return the standard error that a 95 % interval is made of."""
+    return (figure.upper - figure.lower) / 2 / 1.96
