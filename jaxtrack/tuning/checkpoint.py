@@ -49,7 +49,9 @@ def write(folder: pathlib.Path, made_by: str, state: Any) -> None:
         3
     """
     folder.mkdir(parents=True, exist_ok=True)
-    leaves = {f"leaf_{n}": _plain(leaf) for n, leaf in enumerate(jax.tree.leaves(state))}
+    leaves: dict[str, Any] = {
+        f"leaf_{n}": _plain(leaf) for n, leaf in enumerate(jax.tree.leaves(state))
+    }
     half = folder / f"half_{FILE}"
     np.savez(half, made_by=made_by, **leaves)
     half.replace(folder / FILE)
