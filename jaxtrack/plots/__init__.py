@@ -3,6 +3,7 @@
 from jaxtrack.plots.accumulations import accumulations
 from jaxtrack.plots.comparisons import run_times, scores
 from jaxtrack.plots.film import film
+from jaxtrack.plots.fitting import fit_history, loss_map
 from jaxtrack.plots.meetings import meetings
 from jaxtrack.plots.motion_elements import coordinate_over_time, error_curves, vote_plane
 from jaxtrack.plots.scene import scene
@@ -16,6 +17,8 @@ __all__ = [
     "error_curves",
     "errors_over_time",
     "film",
+    "fit_history",
+    "loss_map",
     "maps",
     "meetings",
     "positions_over_time",

@@ -1,6 +1,5 @@
 """The training loop: parameters down the gradient of a mean loss over simulated realizations."""
 
-import functools
 import os
 import pathlib
 from collections.abc import Callable
@@ -16,6 +15,7 @@ from jaxtrack.numerics.bijectors import Bijector, bijector_of, identity
 from jaxtrack.numerics.checks import check_known, check_size
 from jaxtrack.numerics.safe import as_float
 from jaxtrack.tuning.checkpoint import digest, read, write
+from jaxtrack.tuning.realizations import mean_loss, programs
 from jaxtrack.types import Array, Key
 
 _TRAINING, _HELD_OUT = 0, 1  # streams of random keys
@@ -158,12 +158,13 @@ def fit(
     if folder is not None:
         state = _resume(folder, made_by, state)
 
-    value, slope = _programs(loss)
+    _, slope = programs(loss)
     advance = _advance(optimizer, bijector, clip)
     training, held_out = (jax.random.fold_in(key, stream) for stream in (_TRAINING, _HELD_OUT))
 
     def evaluate() -> None:
-        run = monte_carlo(value, held_out, holdout, state.made[-1].params, micro_batch=micro_batch)
+        at = state.made[-1].params
+        run = mean_loss(loss, at, key=held_out, realizations=holdout, micro_batch=micro_batch)
         done = len(state.made) - 1
         if done == 0 and not np.isfinite(run.mean):
             raise ValueError(f"loss: got a mean of {run.mean} at the start, want a finite one")
@@ -186,22 +187,6 @@ def fit(
         if progress is not None:
             progress(done, steps)
     return _result(state, batch, holdout, stopped=_waited(state, patience))
-
-
-@functools.lru_cache(maxsize=64)
-def _programs(loss: Callable[[Any, Key], Array]) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Return the loss, and loss and gradient, as `monte_carlo` takes them: once for a loss.
-
-    The gradient is that in the parameters themselves: so the same program serves all bijectors.
-    """
-
-    def value(key: Key, params: Any) -> Array:
-        return loss(params, key)
-
-    def slope(key: Key, params: Any) -> tuple[Array, Any]:
-        return jax.value_and_grad(loss)(params, key)
-
-    return value, slope
 
 
 def _advance(
