@@ -194,7 +194,7 @@ def score_all(context: Context, ways: Ways) -> xr.Dataset:
     """Return top 3 of every setting on the same held-out scenes, [origin, trial, setting, match].
 
     Settings are the paper's ε, study `nht`'s wide one, and each way's last; `top_3_on_the_way`
-    holds the shares of trials at each evaluation, [origin, method, start, evaluation].
+    holds the shares of trials at each evaluation, [origin, tuner, start, evaluation].
     """
     methods = list(dict.fromkeys(method for _, method, _ in ways))
     every = len(next(iter(ways.values())).eps)
@@ -225,7 +225,7 @@ def score_all(context: Context, ways: Ways) -> xr.Dataset:
         overflow.append(np.asarray(score.overflow))
         seconds.append([way.seconds for way in here])
         realizations.append(here[0].realizations)
-    way_dims = ("origin", "method", "start", "evaluation")
+    way_dims = ("origin", "tuner", "start", "evaluation")
     spent = np.array(seconds).reshape(len(ORIGINS), len(methods), len(STARTS))
     return xr.Dataset(
         {
@@ -241,7 +241,7 @@ def score_all(context: Context, ways: Ways) -> xr.Dataset:
             "origin": list(ORIGINS),
             "setting": [*hand, *tuned],
             "match": ("match", list(MATCH_M), {"units": "m"}),
-            "method": methods,
+            "tuner": methods,
             "start": list(STARTS),
             "parameter": list(_NAMES),
         },
@@ -250,7 +250,8 @@ def score_all(context: Context, ways: Ways) -> xr.Dataset:
 
 def maps_of(context: Context, effort: Effort) -> xr.Dataset:
     """Return the mean loss over both tolerances, on the same scenes everywhere."""
-    axes = [np.geomspace(*(b * v for b in BEYOND), effort.grid) for v in paper().values()]
+    low, high = BEYOND
+    axes = [np.geomspace(low * v, high * v, effort.grid) for v in paper().values()]
     mesh = np.stack([x.ravel() for x in np.meshgrid(*axes, indexing="ij")], axis=-1)
     settings = {name: jnp.asarray(mesh[:, n]) for n, name in enumerate(_NAMES)}
     maps = []

@@ -33,7 +33,7 @@ def table(scores: xr.Dataset, origin: str) -> Table:
             line.append(f"{number(float(share))} ± {number(float(error))}")
         method, _, start = setting.partition(", ")
         if start:
-            seconds = float(here.seconds.sel(method=method, start=start))
+            seconds = float(here.seconds.sel(tuner=method, start=start))
             line += [str(budget), number(seconds, "s")]
         names.append(_HAND.get(setting, setting))
         lines.append([*line, *[""] * (6 - len(line))])
@@ -47,7 +47,7 @@ def marks(scores: xr.Dataset) -> list[Row]:
     rows = []
     trials = scores.sizes["trial"]
     starts = [str(start) for start in scores.start.values]
-    ends = scores.eps_on_the_way.isel(evaluation=-1).sel(method="gradient")
+    ends = scores.eps_on_the_way.isel(evaluation=-1).sel(tuner="gradient")
     exact = lambda value, unit="": Figure(value, value, value, trials, unit)
     for origin in map(str, scores.origin.values):
         for name, symbol in (("eps_rho_m", "ε_ρ"), ("eps_theta_rad", "ε_θ")):
@@ -58,13 +58,13 @@ def marks(scores: xr.Dataset) -> list[Row]:
             gain = _difference(scores, origin, [f"gradient, {start}"], ["paper"])
             what = f"{origin}: top 3 above the paper's ε, from {start}"
             rows.append(Row(what, gain, mark=ABOVE_PAPER[origin]))
-        for method in map(str, scores.method.values):
+        for method in map(str, scores.tuner.values):
             if method != "gradient":
                 ours = [f"gradient, {start}" for start in starts]
                 theirs = [f"{method}, {start}" for start in starts]
                 what = f"{origin}: top 3 above {method}, mean of the starts"
                 rows.append(Row(what, _difference(scores, origin, ours, theirs), mark=AS_GOOD))
-    seconds = scores.seconds.sel(method="gradient").values
+    seconds = scores.seconds.sel(tuner="gradient").values
     if np.isfinite(seconds).any():  # what was interrupted has no time
         slowest = exact(float(np.nanmax(seconds)), "s")
         rows.append(Row("slowest tuning, compilation included", slowest, mark=SECONDS))
@@ -124,10 +124,10 @@ def draw(
         panels[f"ρ from the {origin}"] = {
             str(method): (
                 plain,
-                1 - on_the_way.sel(method=method).mean("start").values,
-                on_the_way.sel(method=method).std("start", ddof=1).values / np.sqrt(len(starts)),
+                1 - on_the_way.sel(tuner=method).mean("start").values,
+                on_the_way.sel(tuner=method).std("start", ddof=1).values / np.sqrt(len(starts)),
             )
-            for method in scores.method.values
+            for method in scores.tuner.values
         }
     figure = plots.error_curves(
         panels,

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxtrack.hough import Grid, Sizes, neutrosophic
 from jaxtrack.hough.votes import evaluate, gaussian
@@ -53,7 +52,9 @@ def loss_from(origin: str) -> Callable[[Eps, Key], Array]:
         scene, scans = _simulate(key)
         grid = Grid(ORIGINS[origin])
         params = neutrosophic.NeutrosophicParams(grid)._replace(**eps)
-        _, info = neutrosophic.soft_estimate(scans, params, TEMPERATURE, sizes=_SIZES, rules=_RULES)
+        _, info = neutrosophic.soft_estimate(
+            scans, params, jnp.asarray(TEMPERATURE), sizes=_SIZES, rules=_RULES
+        )
         # Every candidate pair is read, not only the peaks: which those are is no smooth choice.
         assert info.votes is not None  # as of every method that votes at points
         votes = info.votes
@@ -111,4 +112,4 @@ def _simulate(key: Key) -> tuple[Scene, Scan]:
 
 
 def _paths(scene: Scene) -> Array:
-    return jnp.asarray(np.swapaxes(np.asarray(scene.truth.state)[..., :2], 0, 1))
+    return jnp.swapaxes(scene.truth.state[..., :2], 0, 1)
