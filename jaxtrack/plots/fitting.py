@@ -4,8 +4,10 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 import jax
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from jaxtrack.plots.style import COLOURS, INK, MARKERS, WIDTH_IN, dress, say_empty, style
@@ -116,7 +118,9 @@ def loss_map(
         if loss.size and np.isfinite(loss).any():
             levels = np.linspace(np.nanmin(loss), np.nanmax(loss), 25)
             levels = levels if levels[-1] > levels[0] else levels[0] + np.arange(2.0)
-            filled = axes.contourf(x, y, loss.T, levels, cmap="Greys_r")
+            # From white at the least loss to a grey that lines are still seen on.
+            greys = ListedColormap(matplotlib.colormaps["Greys"](np.linspace(0.0, 0.6, 24)))
+            filled = axes.contourf(x, y, loss.T, levels, cmap=greys)
             bar = figure.colorbar(filled, ax=axes, shrink=0.8, aspect=30, pad=0.02, format="%.2g")
             bar.set_label("mean loss")
             bar.outline.set_visible(False)  # type: ignore[operator]
@@ -125,7 +129,8 @@ def loss_map(
         for place, (name, path) in enumerate(paths.items()):
             way = np.asarray(path, np.float64).reshape(-1, 2)
             colour, marker = COLOURS[place % len(COLOURS)], MARKERS[place % len(MARKERS)]
-            axes.plot(*way.T, color=colour, lw=1.3, label=name)
+            axes.plot(*way.T, color=colour, lw=1.3)
+            axes.plot([], [], color=colour, marker=marker, ms=6, lw=1.3, label=name)
             for end, face, edge in ((way[:1], "white", colour), (way[-1:], colour, "white")):
                 axes.plot(
                     *end.T,

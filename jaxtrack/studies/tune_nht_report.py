@@ -100,9 +100,9 @@ def draw(
             maps.eps_rho_m.values,
             maps.eps_theta_rad.values,
             maps.loss.sel(origin=origin).values,
-            {f"from {start}": ways[origin, "gradient", start].steps for start in starts},
-            x_label="ε_ρ, m",
-            y_label="ε_θ, rad",
+            {f"gradient, {start}": ways[origin, "gradient", start].steps for start in starts},
+            x_label=r"$\varepsilon_\rho$, m",
+            y_label=r"$\varepsilon_\theta$, rad",
             points={
                 setting: tuple(eps.sel(setting=setting).values)
                 for setting in map(str, eps.setting.values)

@@ -214,8 +214,8 @@ def test_a_map_of_the_loss_has_every_way_from_its_start_to_its_end(tmp_path):
     assert legend(figure) == ["one", "two", "paper"]
     lines = axes.get_lines()
     np.testing.assert_array_equal(lines[0].get_xydata(), path)
-    np.testing.assert_array_equal(lines[1].get_xydata(), path[:1])
-    np.testing.assert_array_equal(lines[2].get_xydata(), path[-1:])
+    np.testing.assert_array_equal(lines[2].get_xydata(), path[:1])
+    np.testing.assert_array_equal(lines[3].get_xydata(), path[-1:])
     np.testing.assert_array_equal(lines[-1].get_xydata(), [[20.0, -0.5]])
     draw(figure, tmp_path)
     flat = plots.loss_map(x, y, np.ones((5, 4)), {}, x_label="a", y_label="b")
