@@ -12,7 +12,7 @@ import optax
 
 from jaxtrack.montecarlo import monte_carlo
 from jaxtrack.numerics.bijectors import Bijector, bijector_of, identity
-from jaxtrack.numerics.checks import check_known, check_size
+from jaxtrack.numerics.checks import check_key, check_known, check_size
 from jaxtrack.numerics.safe import as_float
 from jaxtrack.tuning.checkpoint import digest, read, write
 from jaxtrack.tuning.realizations import mean_loss, programs
@@ -136,6 +136,7 @@ def fit(
         The digest of a checkpoint sees the optimizer's state but neither its code nor the loss's:
         change one, and the folder has to be emptied.
     """
+    check_key("key", key)
     sizes = {"steps": steps, "batch": batch, "holdout": holdout, "every": every}
     for name, size in sizes.items():
         check_size(name, size)

@@ -32,8 +32,8 @@ def mean_loss(
     Example:
         >>> squared = lambda x, key: (x - jax.random.normal(key)) ** 2
         >>> run = mean_loss(squared, 0.0, key=jax.random.key(0), realizations=1000)
-        >>> print(f"{run.mean:.1f} ± {run.standard_error:.2f}")
-        1.0 ± 0.05
+        >>> abs(float(run.mean) - 1.0) < 5 * float(run.standard_error)
+        True
     """
     value, _ = programs(loss)
     return monte_carlo(

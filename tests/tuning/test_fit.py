@@ -216,6 +216,8 @@ def test_arguments_that_cannot_be_are_refused():
     for name in ("steps", "batch", "holdout", "every", "patience"):
         with pytest.raises(ValueError, match=f"{name}: got 0, want an int ≥ 1"):
             run(**{name: 0})
+    with pytest.raises(TypeError, match=r"key: got int, want a key from jax\.random\.key"):
+        run(key=0)
     with pytest.raises(ValueError, match=r"clip: got -1\.0, want a positive number"):
         run(clip=-1.0)
     with pytest.raises(TypeError, match="bijectors: got float"):
