@@ -144,6 +144,24 @@ def check_probability(name: str, value: Any, dtype: Any) -> Array:
     return jnp.where(value > 0, jnp.where(value < 1, value, one), 0 * one)
 
 
+def check_key(name: str, value: Any) -> None:
+    """Check that `value` is a single typed random key.
+
+    Raises:
+        TypeError: not a typed key.
+        ValueError: several keys.
+
+    Example:
+        >>> check_key("key", jax.random.key(0))
+    """
+    if not (isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key)):
+        known = hasattr(value, "dtype")
+        got = f"{value.dtype}{list(value.shape)}" if known else type(value).__name__
+        raise TypeError(f"{name}: got {got}, want a key from jax.random.key(seed)")
+    if value.shape:
+        raise ValueError(f"{name}: got keys of shape {list(value.shape)}, want a single one")
+
+
 def check_mask(name: str, value: Any, *, shape: tuple[int | str, ...]) -> None:
     """Check that `value` is a boolean array of the wanted shape.
 

@@ -3,6 +3,7 @@
 from jaxtrack.plots.accumulations import accumulations
 from jaxtrack.plots.comparisons import run_times, scores
 from jaxtrack.plots.film import film
+from jaxtrack.plots.fitting import fit_history, loss_map
 from jaxtrack.plots.meetings import meetings
 from jaxtrack.plots.motion_elements import coordinate_over_time, error_curves, vote_plane
 from jaxtrack.plots.particles import (
@@ -25,6 +26,8 @@ __all__ = [
     "error_curves",
     "errors_over_time",
     "film",
+    "fit_history",
+    "loss_map",
     "maps",
     "meetings",
     "pings_map",

@@ -20,6 +20,7 @@ from jaxtrack.sensors import (
     dragged_bucket,
     observe,
 )
+from jaxtrack.tuning import FitHistory, FitResult
 from jaxtrack.types import Scan, Tracks
 
 
@@ -214,3 +215,57 @@ def test_a_sweep_is_drawn_where_its_pings_poses_put_it(tmp_path):
         plots.pings_map(sweep, sonar, around_m=4.0)
     with pytest.raises(ValueError, match="axes: got 'polar'"):
         plots.pings_map(sweep, sonar, axes="polar")
+
+
+def a_fit(steps=6):
+    history = FitHistory(
+        loss=np.linspace(3.0, 1.0, steps),
+        loss_error=np.full(steps, 0.1),
+        grad_norm=np.ones(steps),
+        finite=np.ones(steps, bool),
+        params={"eps_m": np.geomspace(1.0, 50.0, steps + 1), "bias": np.zeros((steps + 1, 2))},
+        evaluated=np.array([0, 3, 6]),
+        held_out=np.array([3.0, 2.0, 2.5]),
+        held_out_error=np.full(3, 0.2),
+        realizations=np.array([8, 32, 56]),
+    )
+    return FitResult(None, 3, 2.0, 0.2, False, history)
+
+
+def test_a_fit_shows_losses_parameters_and_the_step_that_was_kept(tmp_path):
+    result = a_fit()
+    figure = plots.fit_history(result, title="a fit")
+    top, bias, eps = figure.axes
+    assert [axes.get_ylabel() for axes in figure.axes] == ["loss", "bias", "eps_m"]
+    assert [axes.get_yscale() for axes in figure.axes] == ["linear", "linear", "log"]
+    np.testing.assert_array_equal(top.get_lines()[0].get_ydata(), result.history.loss)
+    np.testing.assert_array_equal(top.containers[0].lines[0].get_ydata(), [3.0, 2.0, 2.5])
+    np.testing.assert_array_equal(eps.get_lines()[0].get_ydata(), result.history.params["eps_m"])
+    assert len(bias.get_lines()) == 3  # two entries, and the mark
+    for axes in figure.axes:
+        assert list(axes.get_lines()[-1].get_xdata()) == [3, 3]
+    assert legend(figure) == ["batch", "held out, ± standard error"]
+    draw(figure, tmp_path)
+
+
+def test_a_map_of_the_loss_has_every_way_from_its_start_to_its_end(tmp_path):
+    x, y = np.geomspace(1.0, 100.0, 5), np.linspace(-1.0, 1.0, 4)
+    loss = np.log(x)[:, None] ** 2 + y[None, :] ** 2
+    path = np.array([[80.0, 0.9], [10.0, 0.4], [1.2, 0.0]])
+    figure = plots.loss_map(
+        x, y, loss, {"one": path, "two": path[:1]}, x_label="ε, m", y_label="bias",
+        points={"paper": (20.0, -0.5)}, title="map",
+    )  # fmt: skip
+    axes = figure.axes[0]
+    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "linear")
+    assert legend(figure) == ["one", "two", "paper"]
+    lines = axes.get_lines()
+    np.testing.assert_array_equal(lines[0].get_xydata(), path)
+    np.testing.assert_array_equal(lines[2].get_xydata(), path[:1])
+    np.testing.assert_array_equal(lines[3].get_xydata(), path[-1:])
+    np.testing.assert_array_equal(lines[-1].get_xydata(), [[20.0, -0.5]])
+    draw(figure, tmp_path)
+    flat = plots.loss_map(x, y, np.ones((5, 4)), {}, x_label="a", y_label="b")
+    draw(flat, tmp_path)
+    empty = plots.loss_map([], [], np.zeros((0, 0)), {}, x_label="a", y_label="b")
+    assert empty.axes[0].texts[0].get_text() == "no losses"
