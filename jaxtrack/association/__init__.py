@@ -22,6 +22,7 @@ from jaxtrack.association.gating import (
     predict_measurement,
 )
 from jaxtrack.association.moments import update_centroid, update_mixture
+from jaxtrack.association.precedence import in_turn
 
 __all__ = [
     "ASSOCIATORS",
@@ -35,6 +36,7 @@ __all__ = [
     "belief_propagation",
     "cloud",
     "gate",
+    "in_turn",
     "jpda",
     "likelihood_ratios",
     "nearest",

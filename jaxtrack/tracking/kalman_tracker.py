@@ -1,8 +1,9 @@
 """A multi-target tracker of Kalman filters: predict, associate, update, grade, admit.
 
 Any associator of `association`, any motion that can be told near a density (`filtering.gaussian`).
-A detection that no track claims starts a tentative track at its place, of unknown velocity; M of N
-looks confirm it, misses in a row delete it (`tracking.lifecycle`).
+Confirmed tracks choose first, tentative ones among what these leave. A detection that no track
+claims starts a tentative track at its place, of unknown velocity; M of N looks confirm it, misses
+in a row delete it (`tracking.lifecycle`).
 """
 
 from collections.abc import Callable
@@ -18,6 +19,7 @@ from jaxtrack.association import (
     Associator,
     Predicted,
     gate,
+    in_turn,
     likelihood_ratios,
     predict_measurement,
 )
@@ -170,11 +172,13 @@ def kalman_tracker(
             detect, number(params.clutter_per_m2), number(params.gate), number(params.echoes)
         )
         key, draw = jax.random.split(state.key)
-        found = associate(predicted, scan, known, draw)
+        confirmed = tracks.mask & (tracks.stage >= Stage.CONFIRMED)
+        found, left = in_turn(associate, predicted, scan, known, draw, confirmed)
         mean, covariance = update(mean, covariance, predicted, scan, found)
 
         claimed = found.weight.sum(1)
         ratio, miss = likelihood_ratios(predicted, scan, known)
+        ratio = jnp.where(confirmed[:, None], ratio, ratio * left[None, :])
         counted = scan.valid & tracks.mask & (detect > COUNTS)
         gain = jnp.where(counted, safe_log(miss + ratio.sum(1)), 0.0)
         score = tracks.log_score + gain

@@ -52,7 +52,7 @@ def compiled(name, tracks):
             covariance=covariance,
             mask=jnp.ones(tracks, bool),
             identity=jnp.arange(tracks, dtype=jnp.int32),
-            stage=jnp.full(tracks, Stage.TENTATIVE, jnp.int32),
+            stage=jnp.full(tracks, Stage.CONFIRMED, jnp.int32),
         )
         state = state._replace(table=table._replace(tracks=begun))
         return jax.lax.scan(tracker.step, state, scans)[1]
