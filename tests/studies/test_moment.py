@@ -5,7 +5,7 @@ import xarray as xr
 
 from jaxtrack.studies import moment, moment_report, tables
 from jaxtrack.studies.moment_paper import TABLES
-from jaxtrack.studies.moment_trial import METHODS, SCENES, SIDE_M
+from jaxtrack.studies.moment_trial import METHODS, SCENES, SIDE_M, look, track_all
 
 LOOKS = 27
 
@@ -107,3 +107,23 @@ def test_every_cell_is_of_one_structure():
     kinds = {jax.tree.structure(moment._inputs(cell))
              for cell in (moment.scenes() | moment.sweeps()).values()}  # fmt: skip
     assert len(kinds) == 1
+
+
+@pytest.mark.slow
+def test_the_operator_picks_the_side_of_the_bucket_that_echoes_and_ours_follows_its_middle():
+    @jax.jit
+    def one(key, inputs):
+        seen = look(key, inputs)
+        return seen, track_all(key, seen, ())["shape"]
+
+    for cell in moment.scenes().values():
+        seen, track = one(jax.random.key(5), moment._inputs(cell))
+        assert seen.truth.mask.all()
+        middle_m = np.asarray(seen.truth.state)[:, 0, :2]
+        picked_m, stand_m = np.asarray(seen.picked_m), np.asarray(seen.stand_m)
+        sight_m = middle_m[:3] - stand_m[:3]
+        away = sight_m / np.linalg.norm(sight_m, axis=1, keepdims=True)
+        np.testing.assert_allclose(((middle_m[:3] - picked_m) * away).sum(1), SIDE_M, atol=0.12)
+        gap_m = np.linalg.norm(np.asarray(track.position_m) - middle_m[3:], axis=1)
+        assert gap_m.mean() < 0.25
+        assert not track.overflow.any()
