@@ -4,9 +4,15 @@ from jaxtrack.plots.accumulations import accumulations
 from jaxtrack.plots.comparisons import run_times, scores
 from jaxtrack.plots.film import film
 from jaxtrack.plots.meetings import meetings
-from jaxtrack.plots.motion_elements import coordinate_over_time, error_curves, vote_plane
+from jaxtrack.plots.motion_elements import (
+    coordinate_over_time,
+    error_curves,
+    points_and_votes,
+    vote_plane,
+)
 from jaxtrack.plots.scene import scene
 from jaxtrack.plots.sinusoids import sinusoids
+from jaxtrack.plots.sonar_frames import sonar_frames
 from jaxtrack.plots.style import style
 from jaxtrack.plots.tracking import errors_over_time, maps, positions_over_time
 
@@ -18,11 +24,13 @@ __all__ = [
     "film",
     "maps",
     "meetings",
+    "points_and_votes",
     "positions_over_time",
     "run_times",
     "scene",
     "scores",
     "sinusoids",
+    "sonar_frames",
     "style",
     "vote_plane",
 ]
