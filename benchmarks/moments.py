@@ -14,7 +14,6 @@ import jax
 CORES = sorted(os.sched_getaffinity(0))
 jax.config.update("jax_num_cpu_devices", len(CORES))
 
-import jax.numpy as jnp  # noqa: E402
 import mahotas  # noqa: E402
 import numpy as np  # noqa: E402
 from mahotas.features import zernike_moments  # noqa: E402
@@ -127,8 +126,8 @@ def forward():
     each, theirs = run_s / BATCH, min(times)
     near = np.linalg.norm(data[0][0][:, None] - data[2][0][None], axis=-1) <= RADIUS_M
     print(
-        f"\n{len(PAPER_ORDERS)} moments about {PARTICLES} particles, {POINTS} points, {BATCH} runs; "
-        f"in the first {near.any(1).sum()} points near any particle,\n{near.sum(0).mean():.0f} near "
+        f"\n{len(PAPER_ORDERS)} moments, {PARTICLES} particles, {POINTS} points, {BATCH} runs; "
+        f"in the first {near.any(1).sum()} points near any of them,\n{near.sum(0).mean():.0f} near "
         f"one on average, {PLACES} places, {overflow.sum()} runs overflow\n"
         f"ours     compile {compile_s:5.1f} s   {each * 1e6:7.1f} us a run and frame, "
         f"aim {AIM_US:.0f}\nmahotas  {theirs * 1e3:7.1f} ms: ours is {theirs / each:.0f} times as "

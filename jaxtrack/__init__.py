@@ -10,13 +10,14 @@
     association   which detections are which track's
     montecarlo    any of it, for thousands of trials in one compiled program
     studies       scenes × methods × tables
+    tuning        gradients through all of it: losses, and the loop that fits parameters
     plots         figures of all of it
 
 Every estimator is a pure function of *one* realization. A batch is `jax.vmap` or `monte_carlo`, a
 gradient is `jax.grad`; both go through the whole pipeline. `docs/design.md` tells the rules.
 
-`studies` and `plots` are loaded at first use: they bring the command line's packages and
-matplotlib along, which an estimator does without.
+`studies`, `plots` and `tuning` are loaded at first use: the first two bring the command line's
+packages and matplotlib along, which an estimator does without.
 
 Example:
     >>> import jax
@@ -66,7 +67,7 @@ from jaxtrack.types import (
 )
 
 if TYPE_CHECKING:
-    from jaxtrack import plots, studies
+    from jaxtrack import plots, studies, tuning
 
 __version__ = "0.1.0"
 
@@ -98,10 +99,11 @@ __all__ = [
     "sensors",
     "studies",
     "tracking",
+    "tuning",
     "types",
 ]
 
-_LAZY = ("plots", "studies")
+_LAZY = ("plots", "studies", "tuning")
 
 
 def __getattr__(name: str) -> Any:

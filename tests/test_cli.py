@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from jaxtrack.cli import main
+from jaxtrack.cli.screen import console_of_tables
 
 EXAMPLE = pathlib.Path(__file__).parents[1] / "notebooks" / "radar_example.csv"
 LAST_DOTS = np.array([[-7248.0, 26643.0], [-17794.0, 14169.0], [-16459.0, 28155.0]])
@@ -102,6 +103,12 @@ def test_a_sonars_beams_are_read_followed_and_drawn(run):
     assert pathlib.Path("b.svg").read_text().startswith("<?xml")
     code, _, err = run("estimate", "beams.csv", *options, "--method", "sht", "--figure", "b.csv")
     assert (code, "want a name that ends in" in err) == (2, True)
+
+
+def test_beams_read_as_detections_are_told_of_the_option(run):
+    pathlib.Path("b.csv").write_text("time_s,beam,range_m,heading_deg,x_m,y_m\n0,1,60,0,0,0\n")
+    code, _, err = run("estimate", "b.csv", "--speed-max-m-s", "4")
+    assert (code, "column 'beam'" in err, "--beams" in err) == (2, True, True)
 
 
 def test_one_file_is_not_written_over_another(run):
@@ -334,6 +341,13 @@ def test_reproduce_gives_each_study_its_folder_seed_and_trials(run, studies):
         assert words in out
     assert run("reproduce", "nht", "--trials", "3", "--out", "elsewhere")[0] == 0
     assert (studies[1].trials, studies[1].out) == (3, pathlib.Path("elsewhere/nht"))
+
+
+def test_tables_in_a_file_are_whole_and_keep_a_stated_width(monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    assert console_of_tables().width == 220
+    monkeypatch.setenv("COLUMNS", "70")
+    assert console_of_tables().width == 70
 
 
 def test_reproduce_full_says_how_long_it_takes(run, studies):

@@ -16,12 +16,14 @@ from jaxtrack.association.gating import (
     Association,
     AssociationParams,
     Gated,
+    OwnView,
     Predicted,
     gate,
     likelihood_ratios,
     predict_measurement,
 )
 from jaxtrack.association.moments import update_centroid, update_mixture
+from jaxtrack.association.precedence import in_turn
 
 __all__ = [
     "ASSOCIATORS",
@@ -30,11 +32,13 @@ __all__ = [
     "AssociationParams",
     "Associator",
     "Gated",
+    "OwnView",
     "Predicted",
     "Update",
     "belief_propagation",
     "cloud",
     "gate",
+    "in_turn",
     "jpda",
     "likelihood_ratios",
     "nearest",

@@ -24,13 +24,21 @@ class AssociationParams(NamedTuple):
     echoes: Array | float = 1.0  # [] λ, mean number of echoes of a detected target
 
 
+class OwnView(NamedTuple):
+    """A look as each track sees it, where that differs from track to track. Finite throughout."""
+
+    position_m: Array  # [T, M, 2] z
+    noise_m2: Array  # [T, M, 2, 2] R, or [T, 1, 2, 2] of all detections
+
+
 class Predicted(NamedTuple):
     """Where the tracks are expected in a look; T slots."""
 
     position_m: Array  # [T, 2] ẑ
     covariance_m2: Array  # [T, 2, 2] H P Hᵀ, without the measurement's noise
-    noise_m2: Array  # [2, 2] R, where a scan has no covariances of its own
+    noise_m2: Array  # [2, 2] or [T, 2, 2] R, where a scan has no covariances of its own
     mask: Array  # [T]
+    view: OwnView | None = None  # stands for the scan's positions and covariances
 
 
 class Association(NamedTuple):
@@ -56,7 +64,7 @@ class Innovations(NamedTuple):
 
     x_m: Array  # [T, M]
     y_m: Array  # [T, M]
-    noise_m2: tuple[Array, Array, Array]  # R: xx, xy, yy, each [1, M] or [1, 1]
+    noise_m2: tuple[Array, Array, Array]  # R: xx, xy, yy, each [T or 1, M or 1]
     inverse: tuple[Array, Array, Array]  # S⁻¹: xx, xy, yy, each [T, M] or [T, 1]
     determinant: Array  # det S, [T, M] or [T, 1]
     present: Array  # [T, M] track and detection exist, S is positive definite
@@ -79,7 +87,7 @@ def predict_measurement(
     Args:
         mean: [T, S] predicted states, position first, in m.
         covariance: [T, S, S].
-        noise_m2: [2, 2] R, covariance of one detection.
+        noise_m2: [2, 2], or [T, 2, 2] of each track, R, covariance of one detection.
         mask: [T] which slots hold a track; all by default.
 
     Raises:
@@ -96,7 +104,8 @@ def predict_measurement(
     check_array("mean", mean, shape=("T", "S"))
     tracks, size = mean.shape
     check_array("covariance", covariance, shape=(tracks, size, size))
-    check_array("noise_m2", noise_m2, shape=(2, 2))
+    own = (tracks,) if jnp.ndim(noise_m2) == 3 else ()
+    check_array("noise_m2", noise_m2, shape=(*own, 2, 2))
     mask = jnp.ones(tracks, bool) if mask is None else mask
     check_array("mask", mask, shape=(tracks,))
     return Predicted(mean[:, :2], covariance[:, :2, :2], jnp.asarray(noise_m2, mean.dtype), mask)
@@ -144,16 +153,19 @@ def innovations(predicted: Predicted, scan: Scan) -> Innovations:
     z = jnp.where(counts[:, None], scan.position_m, 0.0)
     expected = jnp.where(there[:, None], predicted.position_m, 0.0)
     pair = there[:, None] & counts[None, :]
-    x, y = (jnp.where(pair, z[:, axis][None] - expected[:, axis][:, None], 0.0) for axis in (0, 1))
+    z = z[None] if predicted.view is None else predicted.view.position_m
+    x, y = (jnp.where(pair, z[:, :, k] - expected[:, None, k], 0.0) for k in (0, 1))
 
     unit = jnp.eye(2, dtype=dtype)[None]
-    if scan.covariance_m2 is None:
-        r = predicted.noise_m2[None]
-    else:
+    if predicted.view is not None:
+        r = jnp.where(there[:, None, None, None], predicted.view.noise_m2, unit[None])
+    elif scan.covariance_m2 is not None:
         check_array("scan.covariance_m2", scan.covariance_m2, shape=(detections, 2, 2))
-        r = jnp.where(counts[:, None, None], scan.covariance_m2, unit)
+        r = jnp.where(counts[:, None, None], scan.covariance_m2, unit)[None]
+    else:
+        r = predicted.noise_m2.reshape(-1, 1, 2, 2)
     v = jnp.where(there[:, None, None], predicted.covariance_m2, unit)
-    noise = r[:, 0, 0][None], r[:, 0, 1][None], r[:, 1, 1][None]
+    noise = r[..., 0, 0], r[..., 0, 1], r[..., 1, 1]
     xx = v[:, 0, 0][:, None] + noise[0]
     xy = v[:, 0, 1][:, None] + noise[1]
     yy = v[:, 1, 1][:, None] + noise[2]
@@ -189,13 +201,25 @@ def gate(predicted: Predicted, scan: Scan, gate: Array | float = 9.21) -> Gated:
     Source: clustering cloud-like model (2019), equation 9 and the sentence before it.
     """  # noqa: E501
     found = innovations(predicted, scan)
-    ixx, ixy, iyy = found.inverse
-    square = ixx * found.x_m**2 + 2 * ixy * found.x_m * found.y_m + iyy * found.y_m**2
+    square = _square(found)
     inside = found.present & (square < jnp.asarray(gate, square.dtype))
     # Far pairs would underflow: their density is not asked for.
     near = jnp.where(inside, square, 0.0)
     density = found.weight * jnp.exp(-near / 2) / (2 * jnp.pi * jnp.sqrt(found.determinant))
     return Gated(square, inside, jnp.where(inside, density, 0.0))
+
+
+def log_densities(predicted: Predicted, scan: Scan) -> Array:
+    """Return log N(z; ẑ, S) of all pairs, whether in a gate or not, [T, M]; without weights.
+
+    Example:
+        >>> predicted = Predicted(jnp.zeros((1, 2)), jnp.eye(2)[None], jnp.eye(2), jnp.ones(1, bool))
+        >>> scan = Scan(jnp.array(0.0), jnp.array(True), jnp.ones((1, 2)), jnp.ones(1, bool))
+        >>> print(log_densities(predicted, scan).round(2))
+        [[-3.03]]
+    """  # noqa: E501
+    found = innovations(predicted, scan)
+    return -(_square(found) + jnp.log(4 * jnp.pi**2 * found.determinant)) / 2
 
 
 def likelihood_ratios(
@@ -247,3 +271,9 @@ def from_marginals(marginals: Array) -> Association:
         [0.75]
     """
     return Association(marginals[:, :-1], marginals[:, -1], jnp.asarray(True))
+
+
+def _square(found: Innovations) -> Array:
+    """Return d²."""
+    ixx, ixy, iyy = found.inverse
+    return ixx * found.x_m**2 + 2 * ixy * found.x_m * found.y_m + iyy * found.y_m**2

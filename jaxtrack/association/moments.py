@@ -65,7 +65,8 @@ def update_mixture(
     y = ixx * found.x_m + ixy * found.y_m, ixy * found.x_m + iyy * found.y_m
     ybar = tuple((beta * one).sum(-1) for one in y)
     total = beta.sum(-1)
-    if scan.covariance_m2 is None:
+    same = found.inverse[0].shape[1] == 1  # one S for all detections of a track
+    if same:
         mean_inverse = tuple(one[:, 0] for one in found.inverse)
     else:
         mean_inverse = tuple(_quotient((beta * one).sum(-1), total) for one in found.inverse)
@@ -73,7 +74,7 @@ def update_mixture(
     missed = _weighted_outer(association.miss[:, None], ybar[0][:, None], ybar[1][:, None])
     noise = tuple((beta * one).sum(-1) for one in _sandwich(found.inverse, found.noise_m2))
     middle = [a + b + c for a, b, c in zip(spread, missed, noise, strict=True)]
-    if scan.covariance_m2 is not None:
+    if not same:
         # Gains differ from detection to detection: their scatter about the mean gain.
         apart = tuple(
             one - bar[:, None] for one, bar in zip(found.inverse, mean_inverse, strict=True)

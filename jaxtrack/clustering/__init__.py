@@ -8,6 +8,7 @@ and C-means on it.
 from jaxtrack.clustering import cloud
 from jaxtrack.clustering.fuzzy_cmeans import CMeans, fuzzy_cmeans, memberships, update
 from jaxtrack.clustering.isodata import Isodata, IsodataSizes, farthest_first, isodata
+from jaxtrack.clustering.linkage import Clusters, linked
 from jaxtrack.clustering.patterns import (
     IsodataParams,
     Partition,
@@ -16,7 +17,6 @@ from jaxtrack.clustering.patterns import (
     merge,
     partition,
 )
-from jaxtrack.clustering.linkage import Clusters, linked
 
 __all__ = [
     "CMeans",

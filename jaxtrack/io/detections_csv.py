@@ -121,6 +121,11 @@ def read_detections(
 def _check_header(table: Table) -> bool:
     """Check the columns' names; return whether positions are polar."""
     columns = table.cells.keys()
+    if "beam" in columns:
+        raise DataError(
+            f"{table.name}, column 'beam': got a file of a sonar's beams, want one of detections; "
+            "io.read_beams reads it, and so do jaxtrack estimate and track with --beams"
+        )
     polar = any(name in columns for name in _POLAR)
     if polar and any(name in columns for name in _CARTESIAN):
         raise DataError(

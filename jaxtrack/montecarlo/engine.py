@@ -90,7 +90,7 @@ def monte_carlo(
     first_trial = checks.check_size("first_trial", first_trial, at_least=0)
     if first_trial + trials - 1 > _LAST_TRIAL:
         raise ValueError(f"trials: got trial {first_trial + trials - 1} as the last, want < 2^32")
-    _check_key(key)
+    checks.check_key("key", key)
     if not (callable(fn) and isinstance(fn, Hashable)):
         raise TypeError(f"fn: got {type(fn).__name__}, want a hashable callable")
     if batch_params:
@@ -156,14 +156,6 @@ def _is_traced(key: Key, params: Any) -> bool:
     """Whether an argument is traced, or everything is (inside `jax.jit`)."""
     leaves = [key, *jax.tree.leaves(params), jnp.zeros(())]
     return any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
-
-
-def _check_key(key: Any) -> None:
-    if not (isinstance(key, jax.Array) and jnp.issubdtype(key.dtype, jax.dtypes.prng_key)):
-        got = f"{key.dtype}{list(key.shape)}" if hasattr(key, "dtype") else type(key).__name__
-        raise TypeError(f"key: got {got}, want a key from jax.random.key(seed)")
-    if key.shape:
-        raise ValueError(f"key: got keys of shape {list(key.shape)}, want a single one")
 
 
 def _check_batch(params: Any) -> None:

@@ -7,7 +7,14 @@ words the errors of shapes, dtypes and static arguments.
 """
 
 from jaxtrack.numerics.assignment import Assignment, assign
-from jaxtrack.numerics.bijectors import Bijector, bounded, identity, positive, simplex
+from jaxtrack.numerics.bijectors import (
+    Bijector,
+    bijector_of,
+    bounded,
+    identity,
+    positive,
+    simplex,
+)
 from jaxtrack.numerics.checks import check_array, check_choice, check_size
 from jaxtrack.numerics.choice import choose, greater, step
 from jaxtrack.numerics.definite import (
@@ -45,6 +52,7 @@ __all__ = [
     "Bijector",
     "as_float",
     "assign",
+    "bijector_of",
     "bounded",
     "check_array",
     "check_choice",

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,10 +14,10 @@ from jaxtrack.types import Array
 
 
 class Bijector(NamedTuple):
-    """A map from the reals onto a constrained set, and the way back."""
+    """A map from the reals onto a constrained set, and the way back; of arrays, or of pytrees."""
 
-    forward: Callable[[ArrayLike], Array]
-    inverse: Callable[[ArrayLike], Array]
+    forward: Callable[[Any], Any]
+    inverse: Callable[[Any], Any]
 
 
 def identity() -> Bijector:
@@ -122,6 +122,37 @@ def simplex() -> Bijector:
         return log_probability[:-1] - log_probability[-1]
 
     return Bijector(forward=forward, inverse=inverse)
+
+
+def bijector_of(tree: Any) -> Bijector:
+    """Return the bijector of a whole pytree of parameters from those of its parts.
+
+    Args:
+        tree: bijectors in the parameters' structure. One that stands where the parameters branch
+            is that of every leaf below it, so a single bijector is a tree too.
+
+    Raises:
+        ValueError: (from the two maps) the parameters branch otherwise.
+        TypeError: a leaf is no bijector.
+
+    Example:
+        >>> both = bijector_of({"sigma_m": positive(), "p_detect": bounded(0.0, 1.0)})
+        >>> free = both.inverse({"sigma_m": 1.0, "p_detect": 0.5})
+        >>> print(free["sigma_m"], free["p_detect"])
+        0.0 0.0
+    """
+    is_bijector = lambda x: isinstance(x, Bijector)
+    for leaf in jax.tree.leaves(tree, is_leaf=is_bijector):
+        if not is_bijector(leaf):
+            raise TypeError(f"bijectors: got {type(leaf).__name__}, want a pytree of Bijector")
+
+    def over(direction: str, values: Any) -> Any:
+        def part(bijector: Bijector, below: Any) -> Any:
+            return jax.tree.map(getattr(bijector, direction), below)
+
+        return jax.tree.map(part, tree, values, is_leaf=is_bijector)
+
+    return Bijector(lambda u: over("forward", u), lambda y: over("inverse", y))
 
 
 def _log_limit(x: Array) -> float:

@@ -11,7 +11,10 @@ from jaxtrack.studies.moment import STUDY as _MOMENT
 from jaxtrack.studies.nht import STUDY as _NHT
 from jaxtrack.studies.registry import Context, Study
 from jaxtrack.studies.tracking import STUDY as _TRACKING
+from jaxtrack.studies.tune_nht import STUDY as _TUNE_NHT
 
-STUDIES: dict[str, Study] = {study.name: study for study in (_NHT, _CSHT, _CCM, _TRACKING, _MOMENT)}
+STUDIES: dict[str, Study] = {
+    study.name: study for study in (_NHT, _CSHT, _CCM, _TRACKING, _MOMENT, _TUNE_NHT)
+}
 
 __all__ = ["STUDIES", "Context", "Study"]

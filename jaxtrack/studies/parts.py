@@ -40,21 +40,52 @@ def run_part(
         params: shared by all trials.
         on_progress: called as `on_progress(done, trials)`.
     """
+    # Singly: a batch of vote tables would leave the cache.
+    compute = lambda: monte_carlo(fn, key, trials, params, micro_batch=1, on_progress=on_progress)
+    like = jax.eval_shape(fn, key, params)
+    return keep_part(context, name, lambda: compute().values, like, key, trials, params)
+
+
+def keep_part(
+    context: Context,
+    name: str,
+    compute: Callable[[], Any],
+    like: Any,
+    key: Key,
+    trials: int,
+    params: Any,
+) -> Any:
+    """Return what `compute` does, or what an earlier run of the same study kept of it.
+
+    Args:
+        context: of the study; parts lie in its folder.
+        name: of the file.
+        compute: returns a pytree of arrays.
+        like: a pytree of the same structure.
+        key: with the number of trials and the parameters what the result depends on.
+        trials: how many.
+        params: pytree.
+    """
     file = context.out / FOLDER / f"{name}.npz"
     made_by = _digest(key, trials, params)
     if file.exists():
         with np.load(file) as kept:
             if str(kept["made_by"]) == made_by:
-                structure = jax.tree.structure(jax.eval_shape(fn, key, params))
+                structure = jax.tree.structure(like)
                 return structure.unflatten([kept[f"leaf_{n}"] for n in range(len(kept) - 1)])
-    # Singly: a batch of vote tables would leave the cache.
-    values = monte_carlo(fn, key, trials, params, micro_batch=1, on_progress=on_progress).values
+    values = compute()
     leaves = {f"leaf_{n}": leaf for n, leaf in enumerate(jax.tree.leaves(values))}
     file.parent.mkdir(parents=True, exist_ok=True)
     half = file.with_suffix(".half.npz")
     np.savez(half, made_by=made_by, **leaves)
     half.replace(file)  # at once: a run that dies while writing leaves no broken part
     return values
+
+
+def folder_of(context: Context, name: str) -> pathlib.Path:
+    """Return a folder among the parts for what keeps its own state, of this program alone."""
+    program = hashlib.sha256(_program().encode()).hexdigest()[:12]
+    return context.out / FOLDER / f"{name} {program}"
 
 
 def forget_parts(context: Context) -> None:

@@ -1,5 +1,6 @@
 """Stages wired together: pings to detections, lines and recordings to tracks, look to look."""
 
+from jaxtrack.tracking.filters import Filter, position_filter, straight_filter
 from jaxtrack.tracking.hough_tracker import (
     HoughTrackerInfo,
     HoughTrackerParams,
@@ -7,6 +8,7 @@ from jaxtrack.tracking.hough_tracker import (
     hough_tracker,
 )
 from jaxtrack.tracking.initiate import InitiateInfo, InitiateParams, initiate
+from jaxtrack.tracking.interacting_filter import Models, interacting_filter
 from jaxtrack.tracking.kalman_paper import KalmanPaperParams, kalman_paper
 from jaxtrack.tracking.kalman_tracker import (
     KalmanTrackerInfo,
@@ -15,6 +17,7 @@ from jaxtrack.tracking.kalman_tracker import (
     kalman_tracker,
 )
 from jaxtrack.tracking.lifecycle import (
+    Admission,
     Births,
     LifecycleParams,
     TrackTable,
@@ -31,6 +34,7 @@ from jaxtrack.tracking.moment_tracker import (
 )
 from jaxtrack.tracking.motion_elements import ESTIMATORS, MotionElements, motion_elements
 from jaxtrack.tracking.ping_detection import PingDetection, PingDetectionInfo, detect_in_pings
+from jaxtrack.tracking.range_bearing_filter import range_bearing_filter
 from jaxtrack.tracking.shape_tracker import (
     ShapeParams,
     ShapeTemplate,
@@ -47,7 +51,9 @@ __all__ = [
     "ESTIMATORS",
     "METHODS",
     "TRACKERS",
+    "Admission",
     "Births",
+    "Filter",
     "HoughTrackerInfo",
     "HoughTrackerParams",
     "HoughTrackerState",
@@ -58,6 +64,7 @@ __all__ = [
     "KalmanTrackerParams",
     "KalmanTrackerState",
     "LifecycleParams",
+    "Models",
     "MomentParams",
     "MomentTrackerInfo",
     "MomentTrackerState",
@@ -79,13 +86,17 @@ __all__ = [
     "hough_tracker",
     "initiate",
     "initiate_window",
+    "interacting_filter",
     "kalman_paper",
     "kalman_tracker",
     "moment_template",
     "moment_tracker",
     "motion_elements",
+    "position_filter",
+    "range_bearing_filter",
     "shape_template",
     "shape_tracker",
     "sliding",
+    "straight_filter",
     "track",
 ]

@@ -180,7 +180,7 @@ def hough_tracker(
         births = Births(
             estimates.mean, estimates.covariance, estimates.mask & ~claimed, estimates.log_score
         )
-        after, full = admit(graded, births, params.lifecycle)
+        after, full, _ = admit(graded, births, params.lifecycle)
         share = jnp.where(after.tracks.mask, after.hit.mean(1, dtype=now.dtype), 0.0)
         after = after._replace(tracks=after.tracks._replace(existence=share))
 

@@ -16,6 +16,7 @@ from jaxtrack.models.motion import transition_matrix
 from jaxtrack.models.process import white_noise_acceleration
 from jaxtrack.numerics.checks import check_array, check_choice, check_positive
 from jaxtrack.numerics.safe import as_float
+from jaxtrack.tracking.filters import straight_filter
 from jaxtrack.tracking.kalman_tracker import (
     KalmanTrackerInfo,
     KalmanTrackerParams,
@@ -96,7 +97,22 @@ def kalman_paper(
     sigma_m = check_positive("params.sigma_m", params.sigma_m, dtype)
     dt_s = check_positive("params.dt_s", params.dt_s, dtype)
     sigma_w = 2 * sigma_m / dt_s**2
-    tracker = kalman_tracker(
+    straight = straight_filter(sigma_m, sigma_w, params.birth_sigma_m_s, params.birth_sigma_m)
+
+    def from_origin(look: Scan) -> Moments:
+        """Return X₀ = 0 and P₀ moved by T_s and corrected with each detection."""
+        at = straight.start(look)
+        noise = white_noise_acceleration(dt_s, sigma_w)
+        unit = jnp.eye(2, dtype=dtype)
+
+        def one(position_m: Array, p0: Array) -> Moments:
+            moved = predict(jnp.zeros(4, dtype), p0, transition_matrix(dt_s), noise)
+            known = jnp.eye(2, 4, dtype=dtype), sigma_m**2 * unit
+            return Moments(*correct(*moved, position_m, *known)[:2])
+
+        return jax.vmap(one)(at.mean[:, :2], at.covariance)
+
+    return kalman_tracker(
         KalmanTrackerParams(
             sigma_m,
             sigma_w,
@@ -110,32 +126,8 @@ def kalman_paper(
         max_tracks=max_tracks,
         associator=associator,
         confirm_looks=confirm_looks,
+        filter=straight._replace(
+            look=lambda scan: scan._replace(covariance_m2=None),
+            start=straight.start if start == "detection" else from_origin,
+        ),
     )
-
-    def from_origin(position_m: Array, covariance: Array) -> Moments:
-        """Return X₀ = 0 and P₀ moved by T_s and corrected with the first detection."""
-        nothing = jnp.zeros(4, dtype)
-        noise = white_noise_acceleration(dt_s, sigma_w)
-        moved = predict(nothing, covariance, transition_matrix(dt_s), noise)
-        unit = jnp.eye(2, dtype=dtype)
-        return Moments(
-            *correct(*moved, position_m, jnp.eye(2, 4, dtype=dtype), sigma_m**2 * unit)[:2]
-        )
-
-    def step(state: KalmanTrackerState, scan: Scan) -> tuple[KalmanTrackerState, KalmanTrackerInfo]:
-        after, info = tracker.step(state, scan._replace(covariance_m2=None))
-        if start == "detection":
-            return after, info
-        # The tracker put the newest ones at their detections, at rest, with P₀.
-        tracks = after.table.tracks
-        born = tracks.mask & (tracks.identity >= state.table.next_identity)
-        p0 = jnp.where(born[:, None, None], tracks.covariance, jnp.eye(4, dtype=dtype)[None])
-        begun = jax.vmap(from_origin)(jnp.where(born[:, None], tracks.mean[:, :2], 0.0), p0)
-        tracks = tracks._replace(
-            mean=jnp.where(born[:, None], begun.mean, tracks.mean),
-            covariance=jnp.where(born[:, None, None], begun.covariance, tracks.covariance),
-        )
-        table = after.table._replace(tracks=tracks)
-        return after._replace(table=table), info._replace(tracks=tracks)
-
-    return Estimator(tracker.init, step)

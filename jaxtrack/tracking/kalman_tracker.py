@@ -1,12 +1,12 @@
 """A multi-target tracker of Kalman filters: predict, associate, update, grade, admit.
 
-Any associator of `association`, any motion that can be told near a density (`filtering.gaussian`).
-A detection that no track claims starts a tentative track at its place, of unknown velocity; M of N
-looks confirm it, misses in a row delete it (`tracking.lifecycle`).
+Any associator of `association`, any filter of `tracking.filters` and its neighbours.
+Confirmed tracks choose first, tentative ones among what these leave. A detection that no track
+claims starts a tentative track at its place, of unknown velocity; M of N looks confirm it, misses
+in a row delete it (`tracking.lifecycle`).
 """
 
-from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,12 +18,10 @@ from jaxtrack.association import (
     Associator,
     Predicted,
     gate,
+    in_turn,
     likelihood_ratios,
-    predict_measurement,
 )
-from jaxtrack.filtering.gaussian import Linear, choose, predicted_covariance
-from jaxtrack.models.motion import propagate, transition_matrix
-from jaxtrack.models.process import white_noise_acceleration
+from jaxtrack.filtering.gaussian import TreeT, choose
 from jaxtrack.numerics.checks import (
     check_array,
     check_choice,
@@ -35,6 +33,7 @@ from jaxtrack.numerics.checks import (
     sound,
 )
 from jaxtrack.numerics.safe import as_float, safe_log
+from jaxtrack.tracking.filters import Filter, straight_filter
 from jaxtrack.tracking.lifecycle import (
     Births,
     LifecycleParams,
@@ -47,15 +46,13 @@ from jaxtrack.tracking.lifecycle import (
 from jaxtrack.tracking.sight import COUNTS, Detect, everywhere
 from jaxtrack.types import Array, Estimator, Key, Scan, Stage, Tracks
 
-Move = Callable[[Array, Array, Array], Linear]
-"""(mean [S], covariance [S, S], dt_s) → the motion near that density, its noise in `excess`."""
-
 _SEEN = 0.5  # share of a track's weight on detections from which a look counts as a hit
 
 
 class KalmanTrackerParams(NamedTuple):
     """What the tracker knows of targets and sensor. Traced."""
 
+    # Of the filter that stands where none is given: these two, and the births' below.
     sigma_m: Array | float  # [] noise of each coordinate, where a scan has no covariances
     sigma_a_m_s2: Array | float  # [] white-noise acceleration of each coordinate
     p_detect: Array | float  # [] inside the sensor's view
@@ -71,6 +68,7 @@ class KalmanTrackerState(NamedTuple):
     """What the next look needs."""
 
     table: TrackTable
+    beliefs: Any  # [T, …] the filter's
     key: Key  # of the sampled associators
 
 
@@ -82,6 +80,7 @@ class KalmanTrackerInfo(NamedTuple):
     candidates: Array  # [N] which detections were put up as new tracks
     full: Array  # [] a candidate found no free slot
     converged: Array  # [] the associator's
+    beliefs: Any  # [T, …] the filter's: of several models their probabilities
 
 
 def kalman_tracker(
@@ -90,21 +89,21 @@ def kalman_tracker(
     max_tracks: int,
     associator: str | Associator = "jpda",
     confirm_looks: int = 5,
-    move: Move | None = None,
+    filter: Filter[Any] | None = None,
     p_detect: Detect | None = None,
-) -> Estimator[Scan, KalmanTrackerState, KalmanTrackerInfo]:
-    """Return a tracker of many targets, as an estimator over `Scan`.
+) -> Estimator[Any, KalmanTrackerState, KalmanTrackerInfo]:
+    """Return a tracker of many targets, as an estimator over `Scan`, or over the filter's looks.
 
-    Its state is [x, y, vx, vy]. `existence` is the logistic function of `log_score`, which adds up
-    log(1 − P_D P_G + Σ_i w_i) over the looks that count.
+    Its state is [x, y, vx, vy], or the filter's. `existence` is the logistic function of
+    `log_score`, which adds up log(1 − P_D P_G + Σ_i w_i) over the looks that count.
 
     Args:
         params: of targets, sensor, births and lifecycle.
         max_tracks: T, slots of the table, static.
         associator: a name in `ASSOCIATORS`, or an associator with its update.
         confirm_looks: N of the M-of-N rule, static.
-        move: motion of a target; None: constant velocity under white-noise acceleration. Traced
-            numbers reach it by closure.
+        filter: of the tracks: `position_filter`, `range_bearing_filter`, `interacting_filter`, or
+            one's own; None: `straight_filter` with the params' numbers, which no other one reads.
         p_detect: share of `params.p_detect` at a place in a look, for sensors that do not see
             everywhere; None: 1. Where it is next to nothing a look is no miss.
 
@@ -138,47 +137,51 @@ def kalman_tracker(
     associate, update = associator
     _check(params, confirm_looks)
 
-    def constant_velocity(mean: Array, covariance: Array, dt_s: Array) -> Linear:
-        noise = white_noise_acceleration(dt_s, params.sigma_a_m_s2)
-        return Linear(propagate(mean, dt_s), transition_matrix(dt_s), noise)
-
-    motion: Move = constant_velocity if move is None else move
-
+    numbers = params.sigma_m, params.sigma_a_m_s2, params.birth_sigma_m_s, params.birth_sigma_m
+    of: Filter[Any] = straight_filter(*numbers) if filter is None else filter
     sees = everywhere if p_detect is None else p_detect
 
-    def init(key: Key) -> KalmanTrackerState:
-        zero = jnp.zeros((), as_float(params.sigma_m).dtype)
-        table = empty_table(zero, tracks=max_tracks, state=4, looks=confirm_looks)
-        return KalmanTrackerState(table, key)
+    dtype = as_float(params.sigma_m).dtype
 
-    def step(state: KalmanTrackerState, scan: Scan) -> tuple[KalmanTrackerState, KalmanTrackerInfo]:
-        table, dtype = state.table, state.table.tracks.mean.dtype
+    def init(key: Key) -> KalmanTrackerState:
+        zero, none = jnp.zeros((), dtype), jnp.zeros(max_tracks, bool)
+        nowhere = Scan(zero, jnp.asarray(False), jnp.zeros((max_tracks, 2), dtype), none)
+        beliefs = of.start(nowhere)
+        size = of.moments(beliefs).mean.shape[1]
+        table = empty_table(zero, tracks=max_tracks, state=size, looks=confirm_looks)
+        return KalmanTrackerState(table, jax.tree.map(jnp.zeros_like, beliefs), key)
+
+    def step(state: KalmanTrackerState, scan: Any) -> tuple[KalmanTrackerState, KalmanTrackerInfo]:
+        table, tracks = state.table, state.table.tracks
         number = lambda x: jnp.asarray(x, dtype)
         check_mask("scan.valid", scan.valid, shape=())
-        check_mask("scan.mask", scan.mask, shape=jnp.shape(scan.position_m)[:1])
-        scan = _in(dtype, sound(scan))
-        tracks = table.tracks
-        time_s = jnp.where(scan.valid, scan.time_s, tracks.time_s)
+        check_mask("scan.mask", scan.mask, shape=("N",))
+        scan = _in(dtype, scan)
+        look = of.look(scan)
+        check_mask("scan.mask", look.mask, shape=jnp.shape(look.position_m)[:1])
+        look = sound(look)
+        time_s = jnp.where(look.valid, look.time_s, tracks.time_s)
         dt_s = jnp.where(tracks.mask.any(), time_s - tracks.time_s, 0.0)
-        mean, covariance = _predict(tracks, dt_s, motion)
-        unit = jnp.eye(2, dtype=dtype)
-        noise_m2 = number(params.sigma_m) ** 2 * unit
-        predicted = predict_measurement(mean, covariance, noise_m2, tracks.mask)
+        moved = _where(tracks.mask, of.predict(state.beliefs, dt_s), state.beliefs)
+        predicted = of.measure(moved, scan, tracks.mask)
         detect = number(params.p_detect) * jnp.ones(max_tracks, dtype)
-        detect = detect * jax.vmap(sees, (0, None))(mean, scan)
+        detect = detect * jax.vmap(sees, (0, None))(of.moments(moved).mean, scan)
         known = AssociationParams(
             detect, number(params.clutter_per_m2), number(params.gate), number(params.echoes)
         )
         key, draw = jax.random.split(state.key)
-        found = associate(predicted, scan, known, draw)
-        mean, covariance = update(mean, covariance, predicted, scan, found)
+        confirmed = tracks.mask & (tracks.stage >= Stage.CONFIRMED)
+        found, left = in_turn(associate, predicted, look, known, draw, confirmed)
+        learnt = of.update(moved, predicted, look, found, update)
+        mean, covariance = of.moments(learnt)
 
         claimed = found.weight.sum(1)
-        ratio, miss = likelihood_ratios(predicted, scan, known)
-        counted = scan.valid & tracks.mask & (detect > COUNTS)
+        ratio, miss = likelihood_ratios(predicted, look, known)
+        ratio = jnp.where(confirmed[:, None], ratio, ratio * left[None, :])
+        counted = look.valid & tracks.mask & (detect > COUNTS)
         gain = jnp.where(counted, safe_log(miss + ratio.sum(1)), 0.0)
         score = tracks.log_score + gain
-        moved = tracks._replace(
+        updated = tracks._replace(
             time_s=time_s,
             mean=mean,
             covariance=covariance,
@@ -186,33 +189,36 @@ def kalman_tracker(
             existence=jnp.where(tracks.mask, jax.nn.sigmoid(score), 0.0),
         )
         graded = grade(
-            table._replace(tracks=moved), claimed >= _SEEN, counted, scan.valid, params.lifecycle
+            table._replace(tracks=updated), claimed >= _SEEN, counted, look.valid, params.lifecycle
         )
-        free = _unclaimed(predicted, scan, found.weight, tracks, params)
-        births = _births(scan, free, noise_m2, params)
-        admitted, full = admit(graded, births, params.lifecycle)
-        after, key = choose(scan.valid, (admitted, key), (table, state.key))
+        free = _unclaimed(predicted, look, found.weight, tracks, params)
+        weight = jnp.ones(free.shape, dtype) if look.weight is None else look.weight
+        started = of.start(look)
+        births = Births(*of.moments(started), free, safe_log(jnp.where(free, weight, 1.0)))
+        admitted, full, source = admit(graded, births, params.lifecycle)
+        kept = _where(graded.tracks.mask, learnt, jax.tree.map(jnp.zeros_like, learnt))
+        beliefs = _where(source >= 0, jax.tree.map(lambda x: x[source], started), kept)
+        after, beliefs, key = choose(
+            look.valid, (admitted, beliefs, key), (table, state.beliefs, state.key)
+        )
         info = KalmanTrackerInfo(
-            after.tracks, found.weight, free, full & scan.valid, found.converged
+            after.tracks, found.weight, free, full & look.valid, found.converged, beliefs
         )
-        return KalmanTrackerState(after, key), info
+        return KalmanTrackerState(after, beliefs, key), info
 
     return Estimator(init, step)
 
 
-def _in(dtype: jnp.dtype, scan: Scan) -> Scan:
+def _in(dtype: jnp.dtype, scan: TreeT) -> TreeT:
     """Return a look whose numbers are of the state's precision."""
     floating = lambda x: jnp.issubdtype(jnp.result_type(x), jnp.floating)
     return jax.tree.map(lambda x: jnp.asarray(x, dtype) if floating(x) else jnp.asarray(x), scan)
 
 
-def _predict(tracks: Tracks, dt_s: Array, move: Move) -> tuple[Array, Array]:
-    """Return predicted means [T, S] and covariances [T, S, S]; empty slots stay as they are."""
-    moved = jax.vmap(move, (0, 0, None))(tracks.mean, tracks.covariance, dt_s)
-    wider = jax.vmap(predicted_covariance)(tracks.covariance, moved.matrix, moved.excess)
-    there = tracks.mask
-    mean = jnp.where(there[:, None], moved.value, tracks.mean)
-    return mean, jnp.where(there[:, None, None], wider, tracks.covariance)
+def _where(slots: Array, yes: TreeT, no: TreeT) -> TreeT:
+    """Return one of two tables for each slot [T]."""
+    pick = lambda a, b: jnp.where(slots.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
+    return jax.tree.map(pick, yes, no)
 
 
 def _unclaimed(
@@ -225,26 +231,6 @@ def _unclaimed(
     confirmed = predicted.mask & (tracks.stage >= Stage.CONFIRMED)
     held = gate(predicted._replace(mask=confirmed), scan, params.gate).inside.any(0)
     return counts & ~held & (weight.sum(0) < _SEEN)
-
-
-def _births(scan: Scan, free: Array, noise_m2: Array, params: KalmanTrackerParams) -> Births:
-    """Return a candidate for each detection: at its place, at rest, of unknown velocity."""
-    dtype = noise_m2.dtype
-    places = free.shape[0]
-    position = jnp.where(free[:, None], scan.position_m, 0.0).astype(dtype)
-    spread = jnp.broadcast_to(noise_m2, (places, 2, 2))
-    if params.birth_sigma_m is not None:
-        spread = jnp.asarray(params.birth_sigma_m, dtype) ** 2 * jnp.broadcast_to(
-            jnp.eye(2, dtype=dtype), (places, 2, 2)
-        )
-    elif scan.covariance_m2 is not None:
-        spread = jnp.where(free[:, None, None], scan.covariance_m2, spread)
-    speed = jnp.asarray(params.birth_sigma_m_s, dtype) ** 2
-    covariance = jnp.zeros((places, 4, 4), dtype).at[:, :2, :2].set(spread)
-    covariance = covariance.at[:, 2:, 2:].set(speed * jnp.eye(2, dtype=dtype)[None])
-    weight = jnp.ones(places, dtype) if scan.weight is None else scan.weight
-    mean = jnp.concatenate([position, jnp.zeros((places, 2), dtype)], axis=1)
-    return Births(mean, covariance, free, safe_log(jnp.where(free, weight, 1.0)))
 
 
 def _check(params: KalmanTrackerParams, confirm_looks: int) -> None:

@@ -46,6 +46,14 @@ class Births(NamedTuple):
     log_score: Array  # [B] where slots are few, the highest are admitted
 
 
+class Admission(NamedTuple):
+    """A table with new tracks in it."""
+
+    table: TrackTable
+    full: Array  # [] a candidate found no free slot
+    source: Array  # [M] which candidate stands in a slot now; −1: none of them
+
+
 def check_lifecycle(params: LifecycleParams, looks: int) -> None:
     """Check known numbers of `params.lifecycle`, for a rule of M of N looks.
 
@@ -117,7 +125,7 @@ def grade(
     Example:
         >>> table = empty_table(jnp.asarray(0.0), tracks=1, state=4, looks=3)
         >>> one = Births(jnp.ones((1, 4)), jnp.eye(4)[None], jnp.ones(1, bool), jnp.zeros(1))
-        >>> table, _ = admit(table, one, LifecycleParams())
+        >>> table = admit(table, one, LifecycleParams()).table
         >>> yes, no = jnp.ones(1, bool), jnp.zeros(1, bool)
         >>> for seen in (yes, yes, no):
         ...     table = grade(table, seen, yes, jnp.array(True), LifecycleParams())
@@ -152,8 +160,8 @@ def grade(
     return _only(graded, keep)
 
 
-def admit(table: TrackTable, births: Births, params: LifecycleParams) -> tuple[TrackTable, Array]:
-    """Return the table with new tracks in its free slots, and whether some found none.
+def admit(table: TrackTable, births: Births, params: LifecycleParams) -> Admission:
+    """Return the table with new tracks in its free slots, whether some found none, and whose are.
 
     The candidates of the highest scores are admitted, into the first free slots; in a full table
     nothing that is there gives way. Every track gets the next identity, which is never used again.
@@ -168,9 +176,9 @@ def admit(table: TrackTable, births: Births, params: LifecycleParams) -> tuple[T
         >>> table = empty_table(jnp.asarray(0.0), tracks=2, state=4, looks=3)
         >>> two = Births(jnp.ones((3, 4)), jnp.ones((3, 4, 4)), jnp.array([True, False, True]),
         ...              jnp.array([1.0, 9.0, 2.0]))
-        >>> table, crowded = admit(table, two, LifecycleParams())
-        >>> print(table.tracks.identity, table.tracks.log_score, crowded)
-        [0 1] [2. 1.] False
+        >>> table, full, source = admit(table, two, LifecycleParams())
+        >>> print(table.tracks.identity, table.tracks.log_score, full, source)
+        [0 1] [2. 1.] False [2 0]
     """
     tracks = table.tracks
     candidates, state = births.mean.shape
@@ -208,7 +216,7 @@ def admit(table: TrackTable, births: Births, params: LifecycleParams) -> tuple[T
         fill(jnp.zeros_like(table.unseen), table.unseen),
         table.next_identity + number,
     )
-    return after, wanted > number
+    return Admission(after, wanted > number, jnp.where(taken, source, -1))
 
 
 def _only(table: TrackTable, keep: Array) -> TrackTable:

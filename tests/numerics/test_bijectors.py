@@ -119,3 +119,24 @@ def test_simplex_inverse_at_a_corner_is_finite():
 def test_simplex_wants_one_axis():
     with pytest.raises(ValueError, match=r"u: got shape \[2, 3\], want \[n - 1\]"):
         numerics.simplex().forward(jnp.zeros((2, 3)))
+
+
+def test_a_tree_of_bijectors_is_a_bijector_of_trees():
+    both = numerics.bijector_of(
+        {"gate": numerics.identity(), "shares": numerics.simplex(), "noise": numerics.positive()}
+    )
+    noise = (jnp.array(2.0), jnp.array([3.0, 0.1]))  # one bijector for all that is below
+    params = {"gate": jnp.array(-4.0), "shares": jnp.array([0.2, 0.8]), "noise": noise}
+    free = jax.jit(both.inverse)(params)
+    assert free["shares"].shape == (1,)
+    np.testing.assert_allclose(free["noise"][1], np.log([3.0, 0.1]))
+    back = jax.jit(both.forward)(free)
+    assert jax.tree.structure(back) == jax.tree.structure(params)
+    jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, rtol=1e-14), back, params)
+
+
+def test_what_is_no_tree_of_bijectors_is_refused():
+    with pytest.raises(TypeError, match="bijectors: got float, want a pytree of Bijector"):
+        numerics.bijector_of({"gate": 1.0})
+    with pytest.raises(ValueError, match="noise"):
+        numerics.bijector_of({"gate": numerics.identity()}).inverse({"noise": 1.0})

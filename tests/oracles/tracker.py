@@ -1,4 +1,7 @@
-"""The Kalman tracker, look by look and track by track, with M-of-N lives."""
+"""The Kalman tracker, look by look and track by track, with M-of-N lives.
+
+Confirmed tracks choose first, tentative ones see what weight these leave of each detection.
+"""
 
 import math
 
@@ -66,8 +69,24 @@ def run(scans, name, *, slots, last, lives, sigma, sigma_a, known, birth_speed=N
                 None if track is None else (track.mean[:2], covariance[slot][:2, :2])
                 for slot, track in enumerate(book.slots)
             ]
-            w, missed = pairs.ratios(tracks, detections, p_detect, clutter, gate)
-            found = assign(name, tracks, detections, known)
+            found, gain = [({}, 1.0)] * slots, [1.0] * slots
+            left = [1.0] * len(detections)
+            for confirmed in (True, False):
+                turn = [
+                    pair if pair is not None and book.slots[slot].confirmed == confirmed else None
+                    for slot, pair in enumerate(tracks)
+                ]
+                seen = [
+                    None if d is None else (d[0], d[1], rest)
+                    for d, rest in zip(detections, left, strict=True)
+                ]
+                w, missed = pairs.ratios(turn, seen, p_detect, clutter, gate)
+                taken = assign(name, turn, seen, known)
+                for slot, pair in enumerate(turn):
+                    if pair is not None:
+                        found[slot], gain[slot] = taken[slot], missed[slot] + w[slot].sum()
+                        for i, b in taken[slot][0].items():
+                            left[i] = max(left[i] - b, 0.0)
             held = {
                 i
                 for j, i in pairs.gated(tracks, detections, gate)
@@ -82,7 +101,7 @@ def run(scans, name, *, slots, last, lives, sigma, sigma_a, known, birth_speed=N
                     continue
                 for i, b in weights.items():
                     claimed[i] += b
-                track.log_score += math.log(missed[slot] + w[slot].sum())
+                track.log_score += math.log(gain[slot])
                 state = track.mean, covariance[slot], detections, weights, miss
                 track.mean, covariance[slot] = pairs.mixture(*state)
             book.grade(hit, [track is not None for track in book.slots])

@@ -9,6 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from jaxtrack import plots
+from jaxtrack.models import BeamSonar
 from jaxtrack.plots.accumulations import _coarse
 from jaxtrack.plots.sinusoids import _nearest_line
 from jaxtrack.sensors import (
@@ -20,7 +21,8 @@ from jaxtrack.sensors import (
     dragged_bucket,
     observe,
 )
-from jaxtrack.types import Scan, Tracks
+from jaxtrack.tuning import FitHistory, FitResult
+from jaxtrack.types import Pose, Scan, Tracks
 
 
 def draw(figure: Figure, tmp_path) -> None:
@@ -214,3 +216,101 @@ def test_a_sweep_is_drawn_where_its_pings_poses_put_it(tmp_path):
         plots.pings_map(sweep, sonar, around_m=4.0)
     with pytest.raises(ValueError, match="axes: got 'polar'"):
         plots.pings_map(sweep, sonar, axes="polar")
+
+
+def a_fit(steps=6):
+    history = FitHistory(
+        loss=np.linspace(3.0, 1.0, steps),
+        loss_error=np.full(steps, 0.1),
+        grad_norm=np.ones(steps),
+        finite=np.ones(steps, bool),
+        params={"eps_m": np.geomspace(1.0, 50.0, steps + 1), "bias": np.zeros((steps + 1, 2))},
+        evaluated=np.array([0, 3, 6]),
+        held_out=np.array([3.0, 2.0, 2.5]),
+        held_out_error=np.full(3, 0.2),
+        realizations=np.array([8, 32, 56]),
+    )
+    return FitResult(None, 3, 2.0, 0.2, False, history)
+
+
+def test_a_fit_shows_losses_parameters_and_the_step_that_was_kept(tmp_path):
+    result = a_fit()
+    figure = plots.fit_history(result, title="a fit")
+    top, bias, eps = figure.axes
+    assert [axes.get_ylabel() for axes in figure.axes] == ["loss", "bias", "eps_m"]
+    assert [axes.get_yscale() for axes in figure.axes] == ["linear", "linear", "log"]
+    np.testing.assert_array_equal(top.get_lines()[0].get_ydata(), result.history.loss)
+    np.testing.assert_array_equal(top.containers[0].lines[0].get_ydata(), [3.0, 2.0, 2.5])
+    np.testing.assert_array_equal(eps.get_lines()[0].get_ydata(), result.history.params["eps_m"])
+    assert len(bias.get_lines()) == 3  # two entries, and the mark
+    for axes in figure.axes:
+        assert list(axes.get_lines()[-1].get_xdata()) == [3, 3]
+    assert legend(figure) == ["batch", "held out, ± standard error"]
+    draw(figure, tmp_path)
+
+
+def test_a_map_of_the_loss_has_every_way_from_its_start_to_its_end(tmp_path):
+    x, y = np.geomspace(1.0, 100.0, 5), np.linspace(-1.0, 1.0, 4)
+    loss = np.log(x)[:, None] ** 2 + y[None, :] ** 2
+    path = np.array([[80.0, 0.9], [10.0, 0.4], [1.2, 0.0]])
+    figure = plots.loss_map(
+        x, y, loss, {"one": path, "two": path[:1]}, x_label="ε, m", y_label="bias",
+        points={"paper": (20.0, -0.5)}, title="map",
+    )  # fmt: skip
+    axes = figure.axes[0]
+    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "linear")
+    assert legend(figure) == ["one", "two", "paper"]
+    lines = axes.get_lines()
+    np.testing.assert_array_equal(lines[0].get_xydata(), path)
+    np.testing.assert_array_equal(lines[2].get_xydata(), path[:1])
+    np.testing.assert_array_equal(lines[3].get_xydata(), path[-1:])
+    np.testing.assert_array_equal(lines[-1].get_xydata(), [[20.0, -0.5]])
+    draw(figure, tmp_path)
+    flat = plots.loss_map(x, y, np.ones((5, 4)), {}, x_label="a", y_label="b")
+    draw(flat, tmp_path)
+    empty = plots.loss_map([], [], np.zeros((0, 0)), {}, x_label="a", y_label="b")
+    assert empty.axes[0].texts[0].get_text() == "no losses"
+
+
+def test_vote_planes_show_what_has_votes_and_marks():
+    votes = np.zeros((3, 50))
+    votes[1, 10:13] = 2.0
+    starts = np.arange(50.0) * 4
+    low, high = plots.vote_plane(votes, [-1.0, 0.0, 1.0], starts).axes[0].get_ylim()
+    assert (low, high) == (36.0, 52.0)
+    figure = plots.vote_plane(votes, [-1.0, 0.0, 1.0], starts, centres=[[0.0, 100.0]])
+    assert figure.axes[0].get_ylim()[1] == 104.0
+    assert plots.vote_plane(0 * votes, [-1.0, 0.0, 1.0], starts).axes[0].get_ylim()[1] > 190.0
+
+
+def test_points_stand_beside_their_votes(tmp_path):
+    time_s = np.arange(4.0)
+    mask = np.array([[True, False]] * 4)
+    position = np.where(mask[..., None], (5 + 2 * time_s)[:, None, None], np.nan) * np.ones(2)
+    scans = Scan(time_s, np.ones(4, bool), position, mask)  # pyright: ignore
+    figure = plots.points_and_votes(scans, [2.0, 5.0], np.eye(3), [1.0, 2.0, 3.0], [0.0, 5.0, 9.0])
+    points, line = (part.get_xydata() for part in figure.axes[0].get_lines())
+    np.testing.assert_allclose(points[:, 1], [5.0, 7.0, 9.0, 11.0])
+    np.testing.assert_allclose(line, [[0.0, 5.0], [3.0, 11.0]])
+    assert legend(figure) == ["detections", "true line", "true velocity and initial position"]
+    draw(figure, tmp_path)
+
+
+def test_frames_tell_range_and_bearing_of_a_target_and_show_it(tmp_path):
+    # Heading east, the target 30 m ahead and 40 m to port, that is north.
+    pose = Pose(np.array([10.0, 20.0]), np.array(np.pi / 2))
+    figure = plots.sonar_frames(pose, BeamSonar(), np.array([50.0, 50.0]))
+    words = {text.get_text() for text in figure.axes[0].texts}
+    assert {"ρ = 50 m", "ψ = 90°", "α = -53°", "ahead", "starboard", "north"} <= words
+    shown = {line.get_label(): line.get_xydata() for line in figure.axes[0].get_lines()}
+    np.testing.assert_allclose(shown["target"], [[50.0, 50.0]])
+    np.testing.assert_allclose(shown["sonar"], [[20.0, 10.0]])
+    draw(figure, tmp_path)
+
+
+def test_error_bars_say_what_they_are():
+    curve = ([0.1, 0.3], [1.0, 1.2], [0.1, 0.2])
+    figure = plots.error_curves({"": {"joint": curve}}, x_label="P_F", y_label="OSPA, m")
+    assert figure.axes[0].get_ylabel() == "OSPA, m\nmean ± 2 standard errors"
+    bars = figure.axes[0].containers[0].lines[2][0].get_segments()
+    np.testing.assert_allclose(bars[1][:, 1], [0.8, 1.6])

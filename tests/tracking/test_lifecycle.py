@@ -16,7 +16,7 @@ def run(looks, params=PARAMS):
     def step(table, look):
         hit, counted, valid, births = look
         table = grade(table, hit, counted, valid, params)
-        table, crowded = admit(table, births, params)
+        table, crowded, _ = admit(table, births, params)
         return table, (table, crowded)
 
     begin = empty_table(jnp.zeros(()), tracks=SLOTS, state=STATE, looks=LAST)

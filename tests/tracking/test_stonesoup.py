@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxtrack.filtering.gaussian import Moments
 from jaxtrack.tracking import KalmanTrackerParams, LifecycleParams, kalman_tracker
 from jaxtrack.types import Scan, Stage
 
@@ -52,9 +53,11 @@ def compiled(name, tracks):
             covariance=covariance,
             mask=jnp.ones(tracks, bool),
             identity=jnp.arange(tracks, dtype=jnp.int32),
-            stage=jnp.full(tracks, Stage.TENTATIVE, jnp.int32),
+            stage=jnp.full(tracks, Stage.CONFIRMED, jnp.int32),
         )
-        state = state._replace(table=table._replace(tracks=begun))
+        state = state._replace(
+            table=table._replace(tracks=begun), beliefs=Moments(mean, covariance)
+        )
         return jax.lax.scan(tracker.step, state, scans)[1]
 
     return jax.jit(run)

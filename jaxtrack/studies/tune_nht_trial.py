@@ -1,0 +1,115 @@
+"""What the study `tune_nht` simulates: the loss that is tuned by, and the score that counts.
+
+The loss is smooth: soft memberships, votes as Gaussians, a softmax over the candidate pairs. The
+score is the estimator as people use it, with hard memberships and peaks.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxtrack.hough import Grid, Sizes, neutrosophic
+from jaxtrack.hough.votes import evaluate, gaussian
+from jaxtrack.metrics import initiation_scores, line_distance
+from jaxtrack.sensors import Scene, crossing_targets, observe
+from jaxtrack.tuning import candidate_softmax
+from jaxtrack.types import Array, Key, Lines, Scan
+
+ORIGINS = {"corner": (0.0, 0.0), "centre": (1750.0, 800.0)}  # of ρ, metres
+CLUTTER = 10.0  # a scan
+NEAR_M = 100.0  # candidates so near a target's path are its own
+MATCH_M = (50.0, 100.0)
+TEMPERATURE = 0.1  # of the memberships
+_DETECTIONS = 32
+_SIZES = Sizes(lines=8, pairs=192, predecessors=24, candidates=256)
+_RULES = neutrosophic.Rules("spread")
+
+Eps = dict[str, Any]
+"""`eps_rho_m` and `eps_theta_rad`: numbers, or arrays of as many settings as are tried."""
+
+
+class Score(NamedTuple):
+    """Whether the three strongest lines are the three targets, for each setting."""
+
+    top_3: Array  # [P, match]
+    overflow: Array  # [] some table was too small
+
+
+def paper() -> Eps:
+    """Return the paper's tolerances, which are the library's defaults as well."""
+    params = neutrosophic.NeutrosophicParams()
+    return {"eps_rho_m": params.eps_rho_m, "eps_theta_rad": params.eps_theta_rad}
+
+
+@functools.cache
+def loss_from(origin: str) -> Callable[[Eps, Key], Array]:
+    """Return the loss of one scene with ρ measured from a place, the same object every time."""
+
+    def loss(eps: Eps, key: Key) -> Array:
+        scene, scans = _simulate(key)
+        grid = Grid(ORIGINS[origin])
+        params = neutrosophic.NeutrosophicParams(grid)._replace(**eps)
+        _, info = neutrosophic.soft_estimate(
+            scans, params, jnp.asarray(TEMPERATURE), sizes=_SIZES, rules=_RULES
+        )
+        # Every candidate pair is read, not only the peaks: which those are is no smooth choice.
+        assert info.votes is not None  # as of every method that votes at points
+        votes = info.votes
+        kernel = gaussian(eps["eps_rho_m"], eps["eps_theta_rad"])
+        scores = evaluate(votes.rho_m, votes.theta_rad, votes, kernel)
+        x, y = ORIGINS[origin]
+        shift = x * jnp.cos(votes.theta_rad) + y * jnp.sin(votes.theta_rad)
+        lines = Lines(votes.rho_m + shift, votes.theta_rad, scores, votes.mask)
+        near = line_distance(lines, _paths(scene)) <= NEAR_M
+        return candidate_softmax(scores, votes.mask, near)
+
+    return loss
+
+
+@functools.cache
+def score_of(match_m: tuple[float, ...] = MATCH_M) -> Callable[[Key, Any], Score]:
+    """Return the score of one scene, `(key, (origin, eps of [P])) -> Score`."""
+
+    def score(key: Key, params: tuple[Array, Eps]) -> Score:
+        origin, eps = params
+        scene, scans = _simulate(key)
+        there = jnp.asarray(scene.truth.mask).all(0)
+
+        def one(eps: Eps) -> tuple[Array, Array]:
+            params = neutrosophic.NeutrosophicParams(Grid(origin))._replace(**eps)
+            lines, info = neutrosophic.estimate(scans, params, sizes=_SIZES, rules=_RULES)
+            right = [
+                initiation_scores(lines, _paths(scene), there, match_m=m, gate=0.0).top_k
+                for m in match_m
+            ]
+            return jnp.stack(right), info.overflow
+
+        top_3, overflow = jax.lax.map(one, eps)
+        return Score(top_3, overflow.any())
+
+    return score
+
+
+@functools.cache
+def missed_from(origin: str) -> Callable[[Eps, Key], Array]:
+    """Return what counts as a loss, for searches that need no gradient: 1 − top 3 at 50 m."""
+    score = score_of(MATCH_M[:1])
+
+    def loss(eps: Eps, key: Key) -> Array:
+        one = jax.tree.map(lambda x: jnp.asarray(x)[None], eps)
+        top_3 = score(key, (jnp.asarray(ORIGINS[origin]), one)).top_3
+        return 1.0 - top_3[0, 0].astype(jnp.result_type(float))
+
+    return loss
+
+
+def _simulate(key: Key) -> tuple[Scene, Scan]:
+    scene = crossing_targets("IV", CLUTTER)
+    return scene, observe(key, scene.truth, scene.radar, detections=_DETECTIONS)
+
+
+def _paths(scene: Scene) -> Array:
+    return jnp.swapaxes(scene.truth.state[..., :2], 0, 1)

@@ -1,0 +1,166 @@
+"""The smoothed OSPA: its oracle, its bound, its slopes."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxtrack.metrics import ospa
+from jaxtrack.tuning import sinkhorn_ospa
+from tests.metrics.differences import assert_gradients_agree
+from tests.oracles.tuning import sinkhorn_ospa as oracle
+
+ROWS, COLUMNS = 4, 5
+
+
+@functools.cache
+def smooth(iterations=100):
+    def distance(x, xm, y, ym, cutoff, order, temperature):
+        return sinkhorn_ospa(
+            x, xm, y, ym, cutoff=cutoff, order=order, temperature=temperature, iterations=iterations
+        )
+
+    return jax.jit(distance)
+
+
+@functools.cache
+def exact():
+    return jax.jit(lambda *sets: ospa(*sets[:4], cutoff=sets[4], order=sets[5]).distance)
+
+
+def sets(seed, there=0.7, dtype=np.float64):
+    rng = np.random.default_rng(seed)
+    found = []
+    for size in (ROWS, COLUMNS):
+        mask = rng.random(size) < there
+        points = np.where(mask[:, None], rng.normal(scale=5.0, size=(size, 2)), np.nan)
+        found += [points.astype(dtype), mask]
+    return found
+
+
+@pytest.mark.parametrize("temperature", [0.3, 0.1])
+@pytest.mark.parametrize("order", [1.0, 2.0, 2.5])
+def test_it_equals_plain_scaling(temperature, order):
+    for seed in range(8):
+        x, xm, y, ym = sets(seed)
+        got = smooth(1000)(x, xm, y, ym, 8.0, order, temperature)
+        expected = oracle(x[xm], y[ym], 8.0, order, temperature)
+        np.testing.assert_allclose(got.distance, expected, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("iterations", [1, 5, 100])
+def test_the_exact_distance_is_within_the_bound_however_early_it_stops(iterations):
+    close = 0
+    for seed in range(60):
+        case = (*sets(seed), 8.0, (1.0, 2.0)[seed % 2])
+        for temperature in (0.3, 0.03, 0.003):
+            got = smooth(iterations)(*case, temperature)
+            error = abs(float(got.distance - exact()(*case)))
+            assert error <= float(got.bound) * (1 + 1e-9) + 1e-9
+            close += error > 0.9 * float(got.bound) > 0
+    assert close > 0  # a bound that is never nearly met would say little
+
+
+def test_it_is_never_below_and_tends_to_the_exact_distance():
+    for seed in range(20):
+        case = (*sets(seed), 8.0, 1.0)
+        expected = float(exact()(*case))
+        errors = [float(smooth(1000)(*case, t).distance) - expected for t in (0.1, 0.01, 1e-3)]
+        count = max(case[1].sum(), case[3].sum(), 1)
+        for error, temperature in zip(errors, (0.1, 0.01, 1e-3), strict=True):
+            assert -0.01 <= error <= 8.0 * temperature * np.log(count) + 1e-9
+        assert abs(errors[2]) <= 0.02
+
+
+def test_order_and_padding_change_nothing():
+    x, xm, y, ym = sets(3)
+    expected = smooth()(x, xm, y, ym, 8.0, 2.0, 0.1)
+    rng = np.random.default_rng(0)
+    i, j = rng.permutation(ROWS), rng.permutation(COLUMNS)
+    got = smooth()(x[i], xm[i], y[j], ym[j], 8.0, 2.0, 0.1)
+    np.testing.assert_allclose(got, expected, rtol=1e-12)
+    longer = np.concatenate([x, np.full((2, 2), np.nan)]), np.append(xm, [False, False])
+    np.testing.assert_allclose(smooth()(*longer, y, ym, 8.0, 2.0, 0.1), expected, rtol=1e-12)
+
+
+def test_vmap_is_a_loop():
+    cases = [(*sets(seed), 8.0, 2.0, 0.1) for seed in range(4)]
+    together = jax.vmap(smooth())(*(np.stack(x) for x in zip(*cases, strict=True)))
+    alone = [smooth()(*case).distance for case in cases]
+    np.testing.assert_allclose(together.distance, alone, rtol=1e-12)
+
+
+@pytest.mark.parametrize("order", [1.0, 2.0])
+def test_jitted_gradients_equal_differences(order):
+    x, xm, y, ym = sets(11)
+
+    def loss(x, y, cutoff, temperature):
+        hide = lambda points, mask: jnp.where(mask[:, None], points, jnp.nan)
+        return sinkhorn_ospa(
+            hide(x, xm), xm, hide(y, ym), ym, cutoff=cutoff, order=order, temperature=temperature
+        ).distance
+
+    clean = np.nan_to_num(x), np.nan_to_num(y)
+    gradients = assert_gradients_agree(loss, *clean, 9.0, 0.1, rtol=1e-5, atol=1e-8)
+    assert np.abs(gradients[0]).max() > 1e-3
+    assert not gradients[0][~xm].any()
+
+
+def test_the_gradient_has_no_kink_where_the_assignment_changes():
+    # Two estimates half-way between two truths: the exact gradient jumps when one moves past.
+    truths, there = np.array([[0.0, 1.0], [0.0, -1.0]]), np.ones(2, bool)
+
+    def pull(distance):
+        def loss(shift):
+            apart = jnp.array([[1.0, 0.0], [-1.0, 0.0]])
+            estimates = apart + shift * jnp.array([[0.0, 1.0], [0.0, -1.0]])
+            return distance(estimates, there, truths, there)
+
+        slope = jax.jit(jax.grad(loss))
+        return abs(float(slope(1e-4)) - float(slope(-1e-4)))
+
+    soft = lambda *s: sinkhorn_ospa(*s, cutoff=9.0, order=2.0, temperature=0.05).distance
+    hard = lambda *s: ospa(*s, cutoff=9.0, order=2.0).distance
+    assert pull(hard) > 1.0
+    assert pull(soft) < 1e-2
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_values_and_slopes_are_finite_and_of_one_precision(dtype):
+    run = jax.jit(
+        jax.value_and_grad(lambda *case: smooth(30)(*case).distance, argnums=(0, 2, 4, 5, 6))
+    )
+    number = lambda x: jnp.asarray(x, dtype)
+    full, none = np.ones(ROWS, bool), np.zeros(ROWS, bool)
+    same = np.full((ROWS, 2), 3.0, dtype)
+    far = np.arange(2.0 * ROWS).reshape(ROWS, 2).astype(dtype) * 1e6
+    for x in (same, far, np.where(none[:, None], same, np.nan).astype(dtype)):
+        for xm in (full, none):
+            x_seen = x if np.isfinite(x).all() or not xm.any() else same
+            for ym in (full, none):
+                for temperature in (1e-3, 1.0):
+                    sets = x_seen, xm, same, ym
+                    numbers = number(8.0), number(2.0), number(temperature)
+                    for leaf in jax.tree.leaves(run(*sets, *numbers)):
+                        assert leaf.dtype == dtype
+                        assert np.isfinite(leaf).all()
+
+
+def test_single_precision_agrees():
+    for seed in range(5):
+        one = smooth()(*sets(seed, dtype=np.float32), *np.float32([8.0, 2.0, 0.1]))
+        two = smooth()(*sets(seed), 8.0, 2.0, 0.1)
+        np.testing.assert_allclose(one.distance, two.distance, rtol=1e-4)
+        slope = jax.jit(jax.grad(lambda *case: smooth()(*case).distance))
+        small = slope(*sets(seed, dtype=np.float32), *np.float32([8.0, 2.0, 0.1]))
+        np.testing.assert_allclose(small, slope(*sets(seed), 8.0, 2.0, 0.1), rtol=1e-2, atol=1e-4)
+
+
+def test_what_cannot_be_is_refused():
+    x, xm, y, ym = sets(0)
+    with pytest.raises(ValueError, match=r"temperature: got 0\.0, want a positive, finite number"):
+        sinkhorn_ospa(x, xm, y, ym, cutoff=8.0, order=1.0, temperature=0.0)
+    with pytest.raises(ValueError, match="iterations: got 0"):
+        sinkhorn_ospa(x, xm, y, ym, cutoff=8.0, order=1.0, temperature=0.1, iterations=0)
