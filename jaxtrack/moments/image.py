@@ -37,9 +37,7 @@ def image_points(image: Array) -> tuple[Array, Array]:
     return jnp.stack([x.ravel(), y.ravel()], axis=-1), values.ravel()
 
 
-def zernike_image(
-    image: Array, centre: Array, *, orders: Orders, radius: Array | float
-) -> Array:
+def zernike_image(image: Array, centre: Array, *, orders: Orders, radius: Array | float) -> Array:
     """Return Zernike moments of a disc in an image, complex [len(orders)], as `zernike` does.
 
     Args:

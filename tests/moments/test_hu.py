@@ -66,7 +66,7 @@ def test_moving_turning_and_scaling():
     for angle in (0.4, 2.1, -3.0):
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         np.testing.assert_allclose(run(xy @ turn.T, weight), base, rtol=1e-11)
-    np.testing.assert_allclose(run(xy + [40.0, -7.0], weight), base, rtol=1e-10)
+    np.testing.assert_allclose(run(xy + np.array([40.0, -7.0]), weight), base, rtol=1e-10)
     mirrored = base * np.array([1, 1, 1, 1, 1, 1, -1])
     np.testing.assert_allclose(run(xy * [1.0, -1.0], weight), mirrored, rtol=1e-12)
     np.testing.assert_allclose(run(3 * xy, 9 * weight), base, rtol=1e-12)

@@ -10,9 +10,7 @@ def radial(n, m, rho):
     rho, m, total = Fraction(float(rho)), abs(m), Fraction(0)
     for s in range((n - m) // 2 + 1):
         denominator = (
-            math.factorial(s)
-            * math.factorial((n + m) // 2 - s)
-            * math.factorial((n - m) // 2 - s)
+            math.factorial(s) * math.factorial((n + m) // 2 - s) * math.factorial((n - m) // 2 - s)
         )
         total += Fraction((-1) ** s * math.factorial(n - s), denominator) * rho ** (n - 2 * s)
     return float(total)
@@ -68,8 +66,7 @@ def hu(points, weights):
         (n30 + n12) ** 2 + (n21 + n03) ** 2,
         (n30 - 3 * n12) * (n30 + n12) * ((n30 + n12) ** 2 - 3 * (n21 + n03) ** 2)
         + (3 * n21 - n03) * (n21 + n03) * (3 * (n30 + n12) ** 2 - (n21 + n03) ** 2),
-        (n20 - n02) * ((n30 + n12) ** 2 - (n21 + n03) ** 2)
-        + 4 * n11 * (n30 + n12) * (n21 + n03),
+        (n20 - n02) * ((n30 + n12) ** 2 - (n21 + n03) ** 2) + 4 * n11 * (n30 + n12) * (n21 + n03),
         (3 * n21 - n03) * (n30 + n12) * ((n30 + n12) ** 2 - 3 * (n21 + n03) ** 2)
         - (n30 - 3 * n12) * (n21 + n03) * (3 * (n30 + n12) ** 2 - (n21 + n03) ** 2),
     ]
