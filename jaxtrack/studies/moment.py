@@ -154,6 +154,6 @@ STUDY = Study(
     trials_short=2,
     trials_full=200,
     seconds_short=40.0,
-    seconds_full=1200.0,
+    seconds_full=800.0,
     run=run,
 )
