@@ -104,6 +104,12 @@ def test_a_sonars_beams_are_read_followed_and_drawn(run):
     assert (code, "want a name that ends in" in err) == (2, True)
 
 
+def test_beams_read_as_detections_are_told_of_the_option(run):
+    pathlib.Path("b.csv").write_text("time_s,beam,range_m,heading_deg,x_m,y_m\n0,1,60,0,0,0\n")
+    code, _, err = run("estimate", "b.csv", "--speed-max-m-s", "4")
+    assert (code, "column 'beam'" in err, "--beams" in err) == (2, True, True)
+
+
 def test_one_file_is_not_written_over_another(run):
     wrong = ("--out", "a.png", "--figure", "a.png")
     code, _, err = run("track", EXAMPLE, "--speed-max-m-s", "9", *wrong)

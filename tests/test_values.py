@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import pytest
 
 from jaxtrack import filtering, hough, sensors, tracking
+from jaxtrack.clustering import farthest_first, fuzzy_cmeans
 from jaxtrack.hough.neutrosophic import NeutrosophicParams
-from jaxtrack.models import BEAMS, BeamSensor, BeamSonar, PositionSensor
+from jaxtrack.models import BEAMS, POSITION, BeamSensor, BeamSonar, PositionSensor
 from jaxtrack.types import BeamScan, Lines, Pose, Scan, Truth
 
 SIZES = hough.Sizes(lines=2, pairs=4, predecessors=2, candidates=4, rho=10, theta=10)
@@ -73,6 +74,10 @@ def beams(**wrong):
     return hough.joint.estimate(LOUD, params, sizes=JOINT, observation=BEAMS)
 
 
+def cmeans(**wrong):
+    return fuzzy_cmeans(jnp.ones((3, 2)), jnp.ones(3), jnp.ones((1, 2)), **wrong)
+
+
 def clustering(**wrong):
     params = hough.clustering_statistic.ClusteringParams(**wrong)
     return hough.clustering_statistic.estimate(GOOD, params)
@@ -119,7 +124,9 @@ CASES = [
         (sonar, "sigma_m", (-1.0, INF)),
         (sonar, "range_max_m", (0.0,)),
         (beams, "p_miss", (1.5,)),
+        (beams, "p_false", (0.0, 1.0, NAN)),
         (beams, "sigma_m", (0.0, NAN)),
+        (cmeans, "fuzzifier", (1.0, 0.5, NAN)),
         (clustering, "cell_share", (1.0, -0.1)),
         (clustering, "velocity_scale_s", (0.0,)),
         (clustering, "sigma_m", (-1.0,)),
@@ -216,3 +223,35 @@ def test_beams_with_broken_values_are_named(field, value, monkeypatch):
     monkeypatch.setitem(globals(), "LOUD", LOUD._replace(**{first: value}))
     with pytest.raises((TypeError, ValueError), match=rf"scans.{field}: got"):
         beams()
+
+
+@pytest.mark.parametrize(
+    ("looks", "sensor", "observation", "message"),
+    [
+        (GOOD, BeamSensor(), BEAMS, "scans: got a Scan, .* want a BeamScan"),
+        (LOUD, SENSOR, POSITION, "scans: got a BeamScan, want a Scan"),
+        (LOUD, SENSOR, BEAMS, "sensor: got a PositionSensor, want a BeamSensor"),
+        (GOOD, BeamSensor(), POSITION, "sensor: got a BeamSensor, want a PositionSensor"),
+    ],
+)
+def test_looks_and_sensors_of_another_kind_are_named(looks, sensor, observation, message):
+    params = hough.joint.JointParams(sensor)
+    with pytest.raises(TypeError, match=message):
+        hough.joint.estimate(looks, params, sizes=JOINT, observation=observation)
+
+
+def test_beams_are_no_positions(monkeypatch):
+    monkeypatch.setitem(globals(), "GOOD", LOUD)
+    for call in (clustering, standard, improved):
+        with pytest.raises(TypeError, match="scans: got a BeamScan, want a Scan"):
+            call()
+
+
+def test_weights_below_zero_and_no_samples_are_named():
+    samples, weights = jnp.ones((3, 2)), jnp.array([1.0, -1.0, 1.0])
+    with pytest.raises(ValueError, match="weights: got .* want numbers of at least 0"):
+        fuzzy_cmeans(samples, weights, samples[:1])
+    hidden = weights >= 0  # what is masked may be anything
+    assert fuzzy_cmeans(samples, weights, samples[:1], mask=hidden).objective == 0.0
+    with pytest.raises(ValueError, match="number of samples: got 0"):
+        farthest_first(samples[:0], weights[:0], mask=hidden[:0], clusters=2)

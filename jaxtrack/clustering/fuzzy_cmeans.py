@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from jaxtrack.numerics.checks import check_array, check_size
+from jaxtrack.numerics.checks import check_array, check_known, check_size
 from jaxtrack.numerics.safe import as_float
 from jaxtrack.types import Array
 
@@ -48,7 +49,7 @@ def memberships(
 
     Source: clustering-statistic Hough transform (2018), equation 22.
     """
-    _, share, _ = _shares(samples, centres, active, jnp.asarray(fuzzifier, samples.dtype))
+    _, share, _ = _shares(samples, centres, active, _fuzzifier(fuzzifier, samples.dtype))
     total = share.sum(0)
     return share / jnp.where(total > 0, total, 1.0)[None, :]
 
@@ -74,7 +75,8 @@ def update(
 
     Source: clustering-statistic Hough transform (2018), equations 22 and 23.
     """  # noqa: E501
-    moved, alive = _means(samples, weights, centres, active, fuzzifier)
+    power = _fuzzifier(fuzzifier, samples.dtype)
+    moved, alive = _means(samples, weights, centres, active, power)
     return jnp.where(alive[:, None], moved, centres)
 
 
@@ -105,7 +107,7 @@ def fuzzy_cmeans(
         iterations: at most so many. Static.
 
     Raises:
-        ValueError: shapes do not fit.
+        ValueError: shapes do not fit, a weight is negative, or m ≤ 1.
         TypeError: not real numbers, or `iterations` is not an int.
 
     Example:
@@ -125,7 +127,7 @@ def fuzzy_cmeans(
     samples, weights, mask, active = check_samples(samples, weights, centres, mask, active)
     dtype = samples.dtype
     start = jax.lax.stop_gradient(jnp.asarray(centres, dtype))
-    fuzzifier = jnp.asarray(fuzzifier, dtype)
+    fuzzifier = _fuzzifier(fuzzifier, dtype)
     bound = jax.lax.stop_gradient(jnp.asarray(tolerance, dtype)) ** 2
 
     def residual(z: Array) -> Array:
@@ -164,7 +166,7 @@ def check_samples(
     """Return samples and weights, zero where they do not exist, and both masks.
 
     Raises:
-        ValueError: shapes do not fit.
+        ValueError: shapes do not fit, or a weight is negative.
         TypeError: not real numbers.
 
     Example:
@@ -181,7 +183,14 @@ def check_samples(
     check_array("active", active, shape=(centres.shape[0],))
     samples = jnp.where(mask[:, None], as_float(samples), 0.0)
     weights = jnp.where(mask, jnp.asarray(weights, samples.dtype), 0.0)
+    check_known("weights", weights, lambda w: w >= 0, "numbers of at least 0")
     return samples, weights, mask, active
+
+
+def _fuzzifier(value: Array | float, dtype: jnp.dtype) -> Array:
+    """Return m as an array; a known one has to be above 1."""
+    check_known("fuzzifier", value, lambda m: (m > 1) & np.isfinite(m), "a finite number above 1")
+    return jnp.asarray(value, dtype)
 
 
 def _shares(
@@ -215,10 +224,10 @@ def _shares(
 
 
 def _means(
-    samples: Array, weights: Array, centres: Array, active: Array, fuzzifier: Array | float
+    samples: Array, weights: Array, centres: Array, active: Array, fuzzifier: Array
 ) -> tuple[Array, Array]:
     """Return the weighted means of the patterns [K, D], and which patterns have any weight."""
-    _, _, share_m = _shares(samples, centres, active, jnp.asarray(fuzzifier, samples.dtype))
+    _, _, share_m = _shares(samples, centres, active, fuzzifier)
     pull = weights[None, :] * share_m
     total = pull.sum(-1)
     alive = total > 0

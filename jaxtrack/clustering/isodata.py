@@ -48,11 +48,15 @@ def farthest_first(samples: Array, weights: Array, *, mask: Array, clusters: int
         mask: [N] which samples exist.
         clusters: how many to take.
 
+    Raises:
+        ValueError: there is no sample.
+
     Example:
         >>> samples, weights = jnp.array([[0.0], [1.0], [5.0]]), jnp.array([1.0, 3.0, 1.0])
         >>> print(farthest_first(samples, weights, mask=jnp.ones(3, bool), clusters=4))
         [ 1  2  0 -1]
     """
+    check_size("number of samples", samples.shape[0])
     clean = jnp.where(mask[:, None], samples, 0.0)
     weights = jnp.where(mask, weights, 0.0)
     far = jnp.full(weights.shape, jnp.inf, weights.dtype)
@@ -94,7 +98,7 @@ def isodata(
         sizes: lengths of the loops; the defaults if None.
 
     Raises:
-        ValueError: shapes do not fit, or a size is too small.
+        ValueError: shapes do not fit, a size is too small, a weight is negative, or m ≤ 1.
         TypeError: not real numbers, or a size is not an int.
 
     Example:

@@ -126,6 +126,11 @@ def _check_header(table: Table) -> bool:
         raise DataError(
             f"{table.name}: got columns of both x_m, y_m and range_m, bearing_deg, want one pair"
         )
+    if "beam" in columns:
+        raise DataError(
+            f"{table.name}, column 'beam': got a file of a sonar's beams, want one of detections; "
+            "io.read_beams reads it, and so do jaxtrack estimate and track with --beams"
+        )
     known = _KNOWN_POLAR if polar else _KNOWN_CARTESIAN
     required = ("time_s", *(_POLAR if polar else _CARTESIAN))
     instead = "" if polar else " (or range_m, bearing_deg)"

@@ -9,7 +9,8 @@ is by
 
 likelier than one that is empty, and the look's log-likelihood ratio is log Σ_b P(b | u) Λ_b over
 the three nearest beams: three gathers, however many beams there are. o is the probability that
-another target answers in the beam instead.
+another target answers in the beam instead. P_F is kept a millionth away from
+0 and 1, where there is no ratio.
 Outside the sector and the scope nothing can be seen, Λ = 1.
 """
 
@@ -24,6 +25,7 @@ from jaxtrack.models.sonar import BeamSonar
 from jaxtrack.types import Array, BeamScan
 
 _LEAST = 1e-6  # share of everything that the model does not know: bounds a look's penalty
+_SURE = 1e-6  # traced P_F keep so far away from 0 and 1
 PAD = 3  # beams that do not exist, on each side
 
 
@@ -54,6 +56,7 @@ def _table(scan: BeamScan, params: BeamSensor) -> tuple[Array, Array, Array]:
     miss, false, clutter, other = (
         cast(x) for x in (sonar.p_miss, sonar.p_false, sonar.clutter_in_missed_beam, params.p_other)
     )
+    false = jnp.where(false > _SURE, jnp.where(false < 1 - _SURE, false, 1 - _SURE), _SURE)
     alone = 1 - other
     counts = scan.mask & scan.valid
     weight = jnp.ones_like(scan.range_m) if scan.weight is None else scan.weight

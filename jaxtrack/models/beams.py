@@ -14,7 +14,12 @@ from jaxtrack.models.frames import polar_to_earth
 from jaxtrack.models.motion import look_times
 from jaxtrack.models.observation import Observation
 from jaxtrack.models.sonar import beam_bearings, check_sonar
-from jaxtrack.numerics.checks import check_beam_scans, check_positive, check_probability
+from jaxtrack.numerics.checks import (
+    check_beam_scans,
+    check_known,
+    check_positive,
+    check_probability,
+)
 from jaxtrack.numerics.definite import scaled_inverse
 from jaxtrack.numerics.safe import safe_divide
 from jaxtrack.types import Array, BeamScan, Scan
@@ -169,15 +174,20 @@ def check_beam_looks(scans: BeamScan, params: BeamSensor) -> BeamScan:
     """Return sound looks, [K] stacked, of a sonar that can be.
 
     Raises:
-        TypeError: ranges are not floating numbers.
+        TypeError: looks or sensor are not those of beams, or ranges are not floating numbers.
         ValueError: a shape does not fit, or a known value cannot be.
     """
+    scans = check_beam_scans(scans)
+    if not isinstance(params, BeamSensor):
+        raise TypeError(f"sensor: got a {type(params).__name__}, want a BeamSensor")
     check_sonar(params.sonar)
+    between = "a probability between 0 and 1, for a ratio to clutter"
+    check_known("sensor.sonar.p_false", params.sonar.p_false, lambda p: (p > 0) & (p < 1), between)
     dtype = jnp.result_type(float)
     check_positive("sensor.sonar.sigma_m", params.sonar.sigma_m, dtype)
     check_positive("sensor.spread_beams", params.spread_beams, dtype)
     check_probability("sensor.p_other", params.p_other, dtype)
-    return check_beam_scans(scans)
+    return scans
 
 
 BEAMS = Observation(

@@ -198,14 +198,17 @@ def check_position_looks(scans: Scan, params: PositionSensor) -> Scan:
     """Return sound looks, [K] stacked, of a sensor that can be.
 
     Raises:
-        TypeError: positions are not floating numbers.
+        TypeError: looks or sensor are not those of positions, or these are not floating numbers.
         ValueError: a shape does not fit, or a known value cannot be.
     """
+    scans = check_scans(scans)
+    if not isinstance(params, PositionSensor):
+        raise TypeError(f"sensor: got a {type(params).__name__}, want a PositionSensor")
     dtype = jnp.result_type(float)
     check_probability("sensor.p_detect", params.p_detect, dtype)
     for name in ("clutter_per_m2", "sigma_m", "widening"):
         check_positive(f"sensor.{name}", getattr(params, name), dtype)
-    return check_scans(scans)
+    return scans
 
 
 POSITION = Observation(

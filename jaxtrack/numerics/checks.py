@@ -187,7 +187,8 @@ def check_scans(scans: Scan) -> Scan:
     traced ones such a detection counts as none, and so does a look whose time is no finite number.
 
     Raises:
-        TypeError: positions are not floating numbers, or `mask` or `valid` not booleans.
+        TypeError: looks at beams, positions that are not floating numbers, or `mask` or `valid` not
+            booleans.
         ValueError: a shape differs, a look has no place for a detection, a value is not sound.
 
     Example:
@@ -195,6 +196,9 @@ def check_scans(scans: Scan) -> Scan:
         >>> print(check_scans(scans).mask.sum())
         12
     """  # noqa: E501
+    if isinstance(scans, BeamScan):
+        want = "a Scan: positions, which sensors.scan_of_beams makes of beams"
+        raise TypeError(f"scans: got a BeamScan, want {want}; the joint vote reads beams by BEAMS")
     _check_looks(scans, "position_m", ("K", "N", 2), "places for detections")
     looks, places = jnp.shape(scans.mask)
     for name, shape in (("covariance_m2", (2, 2)), ("delay_s", ())):
@@ -244,7 +248,8 @@ def check_beam_scans(scans: BeamScan) -> BeamScan:
     none.
 
     Raises:
-        TypeError: ranges are not floating numbers, or `mask` or `valid` not booleans.
+        TypeError: looks at positions, ranges that are not floating numbers, or `mask` or `valid`
+            not booleans.
         ValueError: a shape differs, a look has no beam, a value is not sound.
 
     Example:
@@ -254,6 +259,8 @@ def check_beam_scans(scans: BeamScan) -> BeamScan:
         >>> print(check_beam_scans(scans).mask.sum())
         12
     """  # noqa: E501
+    if isinstance(scans, Scan):
+        raise TypeError("scans: got a Scan, which is of positions, want a BeamScan")
     _check_looks(scans, "range_m", ("K", "B"), "beams")
     pose, looks = scans.pose, jnp.shape(scans.mask)[0]
     check_array("scans.pose.position_m", pose.position_m, shape=(looks, 2))

@@ -147,6 +147,10 @@ def _by_cells(ready: Prepared, method: str, speed: SpeedGate, max_tracks: int) -
     )
     params = jax.tree.map(lambda x: jnp.asarray(x, scans.position_m.dtype), params)
     tracks, info = _cells_program(method, sizes)(scans, params)
+    mask, bare = np.asarray(tracks.mask), np.asarray(tracks.log_score) == 0
+    if (mask & bare).any():
+        notes += (f"left out, as no detection is near: {(mask & bare).sum()} targets",)
+        tracks = tracks._replace(mask=tracks.mask & ~bare)
     if bool(jnp.any(info.overflow)):
         notes += ("more cells passed the threshold than fit: targets may be missing",)
     return MotionElements(tracks, info.initial, math.nan, notes)

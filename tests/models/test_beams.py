@@ -94,10 +94,10 @@ def test_a_detection_of_weight_zero_says_nothing_for_whoever_is_in_its_beam():
     np.testing.assert_allclose(ratio(state, ignored, sensor), 0.0, atol=1e-3)
 
 
-@pytest.mark.parametrize("p_miss", [0.1, 0.7])
-@pytest.mark.parametrize("clutter", [0.0, 1.0])
-def test_everything_is_finite(p_miss, clutter):
-    sensor = BeamSensor(sonar(p_miss, 0.7, clutter))
+@pytest.mark.parametrize("p_false", [0.0, 0.7, 1.0])
+@pytest.mark.parametrize(("p_miss", "clutter"), [(0.1, 0.0), (0.1, 1.0), (0.7, 0.0), (0.7, 1.0)])
+def test_everything_is_finite(p_miss, clutter, p_false):
+    sensor = BeamSensor(sonar(p_miss, p_false, clutter))
     for detected in (0.0, 1.0):
         scans = jax.tree.map(jnp.asarray, random_looks(3, detected=detected))
         for state in (np.zeros(4), np.array([1.0, 0.5, 0.0, 0.0]), random_states(3)[0]):

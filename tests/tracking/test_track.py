@@ -152,6 +152,28 @@ def test_what_cannot_be_is_named(change, word):
         track(recording(), **change)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("p_false", [0.0, 1.0])
+def test_a_sonar_without_or_full_of_false_alarms_finds_its_targets(p_false):
+    scene = motion_elements_scene()
+    sonar = BeamSonar(p_miss=0.1, p_false=p_false, sigma_m=1.0)
+    looks = observe_beams(jax.random.key(3), scene.truth, scene.pose, sonar)
+    found = motion_elements(looks, sonar=sonar, speed=SpeedGate(0.0, 6.0), max_tracks=4)
+    position = np.asarray(found.tracks.mean)[np.asarray(found.tracks.mask)][:, :2]
+    end = np.asarray(scene.truth.state[-1, :, :2])
+    gap = np.linalg.norm(position[:, None] - end[None], axis=-1)
+    assert sorted(gap.argmin(1)) == [0, 1, 2]
+
+
+def test_targets_that_no_detection_supports_are_left_out():
+    scans = recording(2, clutter=1)
+    alone = scans._replace(mask=scans.mask & (np.arange(3) == 0))
+    found = motion_elements(alone, method="csht", speed=SPEED, sigma_m=SIGMA_M, max_tracks=6)
+    mask = np.asarray(found.tracks.mask)
+    assert (np.asarray(found.tracks.log_score)[mask] > 0).all()
+    assert mask.any()
+
+
 def test_beams_want_their_sonar():
     scene = motion_elements_scene()
     looks = observe_beams(jax.random.key(0), *scene)
