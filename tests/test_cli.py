@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from jaxtrack.cli import main
+from jaxtrack.cli.screen import console_of_tables
 
 EXAMPLE = pathlib.Path(__file__).parents[1] / "notebooks" / "radar_example.csv"
 LAST_DOTS = np.array([[-7248.0, 26643.0], [-17794.0, 14169.0], [-16459.0, 28155.0]])
@@ -340,6 +341,13 @@ def test_reproduce_gives_each_study_its_folder_seed_and_trials(run, studies):
         assert words in out
     assert run("reproduce", "nht", "--trials", "3", "--out", "elsewhere")[0] == 0
     assert (studies[1].trials, studies[1].out) == (3, pathlib.Path("elsewhere/nht"))
+
+
+def test_tables_in_a_file_are_whole_and_keep_a_stated_width(monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    assert console_of_tables().width == 220
+    monkeypatch.setenv("COLUMNS", "70")
+    assert console_of_tables().width == 70
 
 
 def test_reproduce_full_says_how_long_it_takes(run, studies):

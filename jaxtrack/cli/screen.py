@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import os
 import pathlib
 import sys
 import time
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from jaxtrack.tracking import MotionElements, TrackInfo, WindowInfo
     from jaxtrack.types import Tracks
 
+_WIDTH = 220  # of lines that go to a file or a pipe
 _SAY_AFTER_S = 30.0  # without a terminal, progress is a line that often
 
 
@@ -65,6 +67,19 @@ def progress(console: "Console") -> Iterator[Callable[[str, int, int], None]]:
             bars.update(tasks[what], completed=done, total=total)
 
         yield report
+
+
+def console_of_tables() -> "Console":
+    """Return a console on standard output; where that is no terminal, whole tables fit its width.
+
+    A width that `COLUMNS` states is kept.
+    """
+    from rich.console import Console
+
+    console = Console()
+    if console.is_terminal or "COLUMNS" in os.environ:
+        return console
+    return Console(width=_WIDTH)
 
 
 def print_tracks(

@@ -5,12 +5,19 @@ import pathlib
 import platform
 from importlib import metadata
 
-from jaxtrack.cli.screen import duration, fail, line, progress, seed_of, use_all_cores
+from jaxtrack.cli.screen import (
+    console_of_tables,
+    duration,
+    fail,
+    line,
+    progress,
+    seed_of,
+    use_all_cores,
+)
 
 
 def list_studies() -> int:
     """List the studies: what they reproduce, how many trials they run, how long they take."""
-    from rich.console import Console
     from rich.table import Table
 
     from jaxtrack.studies import STUDIES
@@ -22,7 +29,7 @@ def list_studies() -> int:
         numbers = (study.trials_short, study.seconds_short, study.trials_full, study.seconds_full)
         what = f"{study.title}\n{study.source}"
         table.add_row(study.name, what, *(f"{x:,.0f}" for x in numbers))
-    Console().print(table)
+    console_of_tables().print(table)
     return 0
 
 
@@ -51,7 +58,7 @@ def reproduce(
 
     from jaxtrack.studies import STUDIES, Context
 
-    console, errors = Console(), Console(stderr=True)
+    console, errors = console_of_tables(), Console(stderr=True)
     unknown = [name for name in names if name not in STUDIES]
     if unknown:
         known = ", ".join(STUDIES)

@@ -29,8 +29,10 @@ from jaxtrack.sensors import (
 from jaxtrack.studies import csht_figures, csht_report, parts, store
 from jaxtrack.studies.csht_paper import RATES, SIGMAS_M
 from jaxtrack.studies.csht_trial import (
+    CUTOFF,
     KNOWN,
     METHODS,
+    ORDER,
     Inputs,
     Outcome,
     search,
@@ -96,6 +98,8 @@ def run(context: Context) -> None:
         every = _part(context, key, context.trials, "literal", None, gates["literal"])
         within = every.within.values[0]  # the same scenes in every cell
         generated, outside = every.isel(trial=within), every.isel(trial=~within)
+    else:
+        say(f"Generated scenes are left out: they need at least {SMOKE_BELOW} trials.")
     scenes = SCENES if derive else SHIPPED_SCENES
     say(csht_report.gates(CELLS, gates, scenes, FALSE_PER_RUN))
     shown = [(f"Table 2 scene, false alarms: {name}", table) for name, table in table_2.items()]
@@ -105,7 +109,8 @@ def run(context: Context) -> None:
             for part in csht_report.errors(table, title):
                 say(part)
     say(csht_report.effective_samples(table_2["literal"]))
-    rows = csht_report.marks(table_2, generated)
+    say(csht_report.overflow(table_2["literal"]))
+    rows = csht_report.marks(table_2, generated, outside)
     say(failed_table("Marks, fixed beforehand", rows))
     say(
         csht_report.vote_counts({name: _votes(context, name) for name in ("literal", "one a scan")})
@@ -116,6 +121,7 @@ def run(context: Context) -> None:
         "seed": context.seed,
         "trials": context.trials,
         "false_per_run": FALSE_PER_RUN,
+        "ospa": {"order": ORDER, "cutoff_m": CUTOFF, "cutoff_m_s": CUTOFF},
         "gates": gates,
         "marks": [entry(row) for row in rows],
     }

@@ -7,7 +7,9 @@ import numpy as np
 import xarray as xr
 from rich.table import Table
 
+from jaxtrack.hough.clustering_params import ClusteringSizes
 from jaxtrack.studies import csht_paper
+from jaxtrack.studies.csht_trial import CUTOFF, ORDER
 from jaxtrack.studies.tables import (
     Figure,
     Mark,
@@ -24,6 +26,7 @@ _MEASURES = {
     "velocity": ("velocity_ospa", "m/s"),
     "position": ("position_ospa", "m"),
 }
+_PLACES = ClusteringSizes().patterns  # for tracks of the paper's votes
 
 
 def gates(
@@ -52,6 +55,8 @@ def cell_name(p_miss: float, p_false: float, sigma_m: float) -> str:
 def errors(table: xr.Dataset, title: str) -> list[Table]:
     """Return the tables of the right number, of velocities and of positions, cell by cell.
 
+    Each title says by which cut-off and order, and what the columns are.
+
     Args:
         table: [cell, trial, estimator].
         title: what was simulated.
@@ -64,12 +69,15 @@ def errors(table: xr.Dataset, title: str) -> list[Table]:
     passes = table.passes_at_truth.mean("trial")
     shares = [
         [number(float(right.sel(estimator=m).mean("trial")[row])) for m in methods]
-        + [f"{float(table['count'].sel(estimator=m).mean('trial')[row]):.2f}" for m in methods]
+        + [_count(m, table["count"].sel(estimator=m).values[row]) for m in methods]
         + [number(float(passes[row]))]
         for row in range(len(names))
     ]
     columns = [f"{m} right" for m in methods] + [f"{m} count" for m in methods] + ["ceiling"]
-    head = f"{title}: number of targets"
+    head = (
+        f"{title}: number of targets (≥: runs in which all {_PLACES} places were taken; ceiling: "
+        "share of runs in which the evidence at every target's true path passes the gate)"
+    )
     tables = [grid_table(head, names, columns, shares, trials=trials)]
     for what, (field, unit) in _MEASURES.items():
         lines = []
@@ -80,7 +88,10 @@ def errors(table: xr.Dataset, title: str) -> list[Table]:
             paper = [_paper(what, name, table, row) for name in ("SHT", "CSHT")]
             lines.append([*line[:3], _spread(only), *line[3:], *paper])
         columns = [*methods, "joint, number right", *estimators[3:], "paper SHT", "paper CSHT"]
-        head = f"{title}: {what} OSPA in {unit}, mean ± standard error (median)"
+        head = (
+            f"{title}: {what} OSPA of order {ORDER:g} with cut-off {CUTOFF:g} {unit}, "
+            f"in {unit}, mean ± standard error (median)"
+        )
         tables.append(grid_table(head, names, columns, lines, trials=trials))
     return tables
 
@@ -99,17 +110,39 @@ def effective_samples(table: xr.Dataset) -> str:
     )
 
 
+def overflow(table: xr.Dataset) -> str:
+    """Return in a sentence where the joint vote scored only some of the pairs of detections.
+
+    Args:
+        table: [cell, trial].
+    """
+    shares = table.overflow.astype(float).mean("trial").groupby("p_false").max()
+    parts = [
+        f"P_F {float(rate):.1g}: {number(float(share))}".replace("P_F 0.", "P_F .")
+        for rate, share in zip(shares.p_false.values, shares.values, strict=True)
+    ]
+    return (
+        "Share of runs in which there were more pairs of detections than the joint vote scores, "
+        f"the largest of the cells of a rate of false alarms: {'; '.join(parts)}."
+    )
+
+
 def exact(table: xr.Dataset) -> xr.DataArray:
     """Return in which runs an estimator reports as many targets as there are."""
     return table["count"] == table.targets
 
 
-def marks(table_2: Mapping[str, xr.Dataset], generated: xr.Dataset | None) -> list[Row]:
-    """Return every figure that has a mark.
+def marks(
+    table_2: Mapping[str, xr.Dataset],
+    generated: xr.Dataset | None,
+    outside: xr.Dataset | None = None,
+) -> list[Row]:
+    """Return every figure that has a mark; that nothing lies below the floor is one of all tables.
 
     Args:
         table_2: by model of false alarms, [cell, trial, estimator], the paper's scene.
         generated: [cell, trial, estimator], scenes of the generator that keep to its limits.
+        outside: likewise, those that break one.
     """
     literal, one = table_2["literal"], table_2["one a scan"]
     rows: list[Row] = []
@@ -118,6 +151,13 @@ def marks(table_2: Mapping[str, xr.Dataset], generated: xr.Dataset | None) -> li
             continue
         for cell in range(table.sizes["cell"]):
             rows += _joint_rows(f"{scene}{_name(table, cell)}: joint", table.isel(cell=cell))
+    others = {name: table for name, table in table_2.items() if name != "literal"}
+    for scene, table in {**others, "generated outside the limits": outside}.items():
+        if table is None or not table.sizes["trial"]:
+            continue
+        for cell in range(table.sizes["cell"]):
+            name = f"{scene}, {_name(table, cell)}: joint"
+            rows += _floor_rows(name, table.isel(cell=cell))
     for cell in range(literal.sizes["cell"]):
         here, name = literal.isel(cell=cell), _name(literal, cell)
         if float(here.p_miss) <= 0.3:
@@ -170,14 +210,27 @@ def _joint_rows(name: str, here: xr.Dataset) -> list[Row]:
     share, ratio = _wanted(p_miss, p_false, sigma_m)
     right = exact(here).sel(estimator="joint").values
     rows = [Row(f"{name}, number right", _rate(right), "", share)]
-    for what, (field, _) in _MEASURES.items():
-        ours = here[field].sel(estimator="joint").values[right]
-        floor = here[field].sel(estimator="floor").values[right]
-        found = quotient(ours, floor)
-        if ratio is not None:
-            rows.append(Row(f"{name}, {what} / floor", found, "", Mark(ratio, at_least=False)))
-        rows.append(Row(f"{name}, {what} not below the floor", found, "", Mark(1.0)))
-    return rows
+    if ratio is not None:
+        bound = Mark(ratio, at_least=False)
+        rows += [
+            Row(f"{name}, {what} / floor", _over_floor(here, what), "", bound) for what in _MEASURES
+        ]
+    return rows + _floor_rows(name, here)
+
+
+def _floor_rows(name: str, here: xr.Dataset) -> list[Row]:
+    """Return that in a cell the joint vote's errors, where its number is right, are no less."""
+    return [
+        Row(f"{name}, {what} not below the floor", _over_floor(here, what), "", Mark(1.0))
+        for what in _MEASURES
+    ]
+
+
+def _over_floor(here: xr.Dataset, what: str) -> Figure:
+    """Return the joint vote's errors over the floor's, in the runs where its number is right."""
+    right = exact(here).sel(estimator="joint").values
+    of = lambda name: here[_MEASURES[what][0]].sel(estimator=name).values[right]
+    return quotient(of("joint"), of("floor"))
 
 
 def _wanted(p_miss: float, p_false: float, sigma_m: float) -> tuple[Mark | None, float | None]:
@@ -197,7 +250,15 @@ def _name(table: xr.Dataset, cell: int) -> str:
 def _spread(values: np.ndarray) -> str:
     if len(values) == 0:
         return "–"
+    if len(values) == 1:
+        return f"{values[0]:.3g}"
     return f"{values.mean():.3g} ± {standard_error(values):.2g} ({np.median(values):.3g})"
+
+
+def _count(method: str, values: np.ndarray) -> str:
+    """Return the mean number of estimates; of one that was out of places, no less than that."""
+    full = method != "joint" and (values >= _PLACES).any()
+    return f"{'≥ ' if full else ''}{values.mean():.2f}"
 
 
 def _rate(hits: np.ndarray) -> Figure:

@@ -156,15 +156,15 @@ def marks_table(title: str, rows: Sequence[Row]) -> Table:
     return table
 
 
-def failed_table(title: str, rows: Sequence[Row]) -> Table:
-    """Return a table of the marks that are not reached; its title counts the others."""
+def failed_table(title: str, rows: Sequence[Row]) -> Table | str:
+    """Return a table of the marks that are not reached; its title, alone if none, counts them."""
     words = [verdict(row.ours, row.mark) for row in rows]
     marked = [word for word in words if word != NONE]
     title = f"{title}: {marked.count(PASS)} of {len(marked)} pass"
     if SMOKE in marked:
         title += f", {marked.count(SMOKE)} smoke (too few trials to say)"
     failed = [row for row, word in zip(rows, words, strict=True) if word == FAILS]
-    return marks_table(f"{title}; what does not:" if failed else title, failed)
+    return marks_table(f"{title}; what does not:", failed) if failed else f"{title}."
 
 
 def entry(row: Row) -> dict[str, Any]:

@@ -23,6 +23,7 @@ def made_up(cells, share_right=1.0, joint=1.05, trials=200):
             "targets": (dims[:2], np.full(shape[:2], 3)),
             "passes_at_truth": (dims[:2], np.ones(shape[:2], bool)),
             "effective_samples": (dims[:2], np.full(shape[:2], 321.0)),
+            "overflow": (dims[:2], np.outer(np.array(rates["p_false"][1]) >= 0.5, np.ones(trials))),
         },
         coords={"estimator": list(names), **rates},
     )
@@ -31,7 +32,7 @@ def made_up(cells, share_right=1.0, joint=1.05, trials=200):
 def verdicts(**options):
     table = made_up(csht.CELLS, **options)
     table_2 = dict.fromkeys(csht.VARIANTS, table)
-    rows = csht_report.marks(table_2, table)
+    rows = csht_report.marks(table_2, table, table)
     return {row.what: tables.verdict(row.ours, row.mark) for row in rows}
 
 
@@ -57,11 +58,31 @@ def test_errors_above_the_bound_and_below_the_floor_fail():
     low = {name for name, word in verdicts(joint=0.9).items() if word == "fails"}
     assert low
     assert all("not below the floor" in name for name in low)
+    for scene in ("P_M", "generated, ", "clutter in ", "one a scan, ", "generated outside "):
+        assert len([name for name in low if name.startswith(scene)]) == 2 * len(csht.CELLS)
 
 
 def test_tables_hold_every_cell():
     made = csht_report.errors(made_up(csht.CELLS), "made up")
     assert [table.row_count for table in made] == [len(csht.CELLS)] * 3
+    number, velocity, position = (str(table.title) for table in made)
+    assert "ceiling: share of runs in which the evidence" in number
+    assert "OSPA of order 2 with cut-off 20 m/s" in velocity
+    assert "OSPA of order 2 with cut-off 20 m," in position
+
+
+def test_one_run_has_no_spread_and_full_tables_say_so():
+    table = made_up(csht.CELLS, trials=1)
+    table["count"].loc[{"estimator": "SHT"}] = 9
+    number, velocity, _ = csht_report.errors(table, "made up")
+    assert set(number.columns[4].cells) == {"≥ 9.00"}
+    assert set(number.columns[5].cells) == {"3.00"}
+    assert set(velocity.columns[1].cells) == {"20"}
+
+
+def test_pairs_that_did_not_fit_are_told():
+    words = csht_report.overflow(made_up(csht.CELLS))
+    assert "P_F .1: .000; P_F .3: .000; P_F .5: 1; P_F .7: 1." in words
 
 
 def test_gates_are_shipped_for_every_cell():
