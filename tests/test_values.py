@@ -249,7 +249,7 @@ def test_beams_are_no_positions(monkeypatch):
 
 def test_weights_below_zero_and_no_samples_are_named():
     samples, weights = jnp.ones((3, 2)), jnp.array([1.0, -1.0, 1.0])
-    with pytest.raises(ValueError, match="weights: got .* want numbers of at least 0"):
+    with pytest.raises(ValueError, match=r"weights: got .* want numbers of at least 0"):
         fuzzy_cmeans(samples, weights, samples[:1])
     hidden = weights >= 0  # what is masked may be anything
     assert fuzzy_cmeans(samples, weights, samples[:1], mask=hidden).objective == 0.0

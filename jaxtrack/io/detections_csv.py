@@ -121,15 +121,15 @@ def read_detections(
 def _check_header(table: Table) -> bool:
     """Check the columns' names; return whether positions are polar."""
     columns = table.cells.keys()
-    polar = any(name in columns for name in _POLAR)
-    if polar and any(name in columns for name in _CARTESIAN):
-        raise DataError(
-            f"{table.name}: got columns of both x_m, y_m and range_m, bearing_deg, want one pair"
-        )
     if "beam" in columns:
         raise DataError(
             f"{table.name}, column 'beam': got a file of a sonar's beams, want one of detections; "
             "io.read_beams reads it, and so do jaxtrack estimate and track with --beams"
+        )
+    polar = any(name in columns for name in _POLAR)
+    if polar and any(name in columns for name in _CARTESIAN):
+        raise DataError(
+            f"{table.name}: got columns of both x_m, y_m and range_m, bearing_deg, want one pair"
         )
     known = _KNOWN_POLAR if polar else _KNOWN_CARTESIAN
     required = ("time_s", *(_POLAR if polar else _CARTESIAN))

@@ -5,7 +5,12 @@ from jaxtrack.plots.comparisons import run_times, scores
 from jaxtrack.plots.film import film
 from jaxtrack.plots.fitting import fit_history, loss_map
 from jaxtrack.plots.meetings import meetings
-from jaxtrack.plots.motion_elements import coordinate_over_time, error_curves, vote_plane
+from jaxtrack.plots.motion_elements import (
+    coordinate_over_time,
+    error_curves,
+    points_and_votes,
+    vote_plane,
+)
 from jaxtrack.plots.particles import (
     deviations,
     pursuit,
@@ -16,6 +21,7 @@ from jaxtrack.plots.particles import (
 from jaxtrack.plots.pings import pings_map
 from jaxtrack.plots.scene import scene
 from jaxtrack.plots.sinusoids import sinusoids
+from jaxtrack.plots.sonar_frames import sonar_frames
 from jaxtrack.plots.style import style
 from jaxtrack.plots.tracking import errors_over_time, maps, positions_over_time
 
@@ -31,12 +37,14 @@ __all__ = [
     "maps",
     "meetings",
     "pings_map",
+    "points_and_votes",
     "positions_over_time",
     "pursuit",
     "run_times",
     "scene",
     "scores",
     "sinusoids",
+    "sonar_frames",
     "style",
     "target_paths",
     "template_frames",

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
@@ -13,7 +14,7 @@ from jaxtrack.hough import clustering_statistic, pack_beams
 from jaxtrack.hough.slope_intercept import cell_centres, hard_votes, points_of
 from jaxtrack.sensors import motion_elements_scene, observe_beams
 from jaxtrack.studies import csht_paper
-from jaxtrack.studies.csht_trial import BEAM_COUNT, KNOWN, METHODS
+from jaxtrack.studies.csht_trial import BEAM_COUNT, KNOWN, METHODS, POSITIONS
 from jaxtrack.types import Array, Key, Scan, Tracks
 
 
@@ -38,6 +39,9 @@ def draw(
     truth = motion_elements_scene().truth
     over_time = functools.partial(plots.coordinate_over_time, scans, truth)
     jobs: dict[str, Callable[[], Any]] = {
+        "figure_03_frames": _frames,
+        "figure_04_line": lambda: _one_target(None),
+        "figure_05_clutter": lambda: _one_target(key),
         "figure_07_detections": lambda: plots.scene(
             shown["per_beam"][0], truth, axes="north_east", title="A window of 20 looks, P_F a beam"
         ),
@@ -99,6 +103,45 @@ def _window(key: Key, false_alarms: str) -> tuple[Scan, dict[str, tuple[Tracks, 
         return positions, found
 
     return run(key)
+
+
+def _frames() -> Any:
+    from jaxtrack import plots
+
+    scene = motion_elements_scene()
+    first = jax.tree.map(lambda x: x[0], scene.pose)
+    target = scene.truth.state[0, 0, :2]
+    title = "The frames, and the sonar's sector"
+    return plots.sonar_frames(first, scene.sonar, target, beams=BEAM_COUNT, title=title)
+
+
+def _one_target(key: Key | None) -> Any:
+    """Draw the first target's northern positions and their votes; with a key, as the sonar sees it.
+
+    Its noise and misses are the sonar's, and a false alarm comes with every look.
+    """
+    from jaxtrack import plots
+
+    scene = motion_elements_scene()
+    truth = scene.truth._replace(
+        mask=scene.truth.mask & (jnp.arange(scene.truth.mask.shape[1]) == 0)
+    )
+    scans = Scan(truth.time_s, truth.mask[:, 0], truth.state[..., :2], truth.mask)
+    words = "One line"
+    if key is not None:
+        sonar = scene.sonar._replace(p_false=1.0)
+        beams = observe_beams(
+            key, truth, scene.pose, sonar, beams=BEAM_COUNT, false_alarms="per_scan"
+        )
+        scans, _ = pack_beams(beams, sonar, POSITIONS["per_scan"])
+        words = "Noise, misses, and a false alarm a look"
+    params, sizes = clustering_statistic.ClusteringParams(), clustering_statistic.ClusteringSizes()
+    votes = hard_votes(points_of(scans, 0), params.x, sizes=sizes.lines)
+    velocity, position = cell_centres(params.x, sizes=sizes.lines, dtype=votes.dtype)
+    line = np.asarray(truth.state)[0, 0, [2, 0]]
+    own = _votes_at(votes, velocity, position, line[None])
+    title = f"{words}: strongest cell {float(votes.max()):.0f} votes, true cell {own}"
+    return plots.points_and_votes(scans, line, votes, velocity, position, title=title)
 
 
 def _plane(scans: Scan, false_alarms: str, *, clusters: bool) -> Any:
