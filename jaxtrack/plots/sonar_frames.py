@@ -36,11 +36,10 @@ def sonar_frames(
     scope, half = float(sonar.range_max_m), float(sonar.sector_rad) / 2
     heading = float(pose.heading_rad)
     pose, target = jax.tree.map(lambda x: np.asarray(x, np.float32), (pose, target_m))
-    to_earth = lambda r, a: np.asarray(
-        polar_to_earth(
-            np.asarray(r, target.dtype), np.asarray(a, target.dtype), pose, sonar.mount_m
-        )
-    )[..., ::-1]
+    cast: Any = lambda x: np.asarray(x, target.dtype)
+    to_earth: Any = lambda r, a: np.asarray(polar_to_earth(cast(r), cast(a), pose, sonar.mount_m))[
+        ..., ::-1
+    ]
     range_m, bearing = (float(x) for x in earth_to_polar(target, pose, sonar.mount_m))
     sensor = to_earth(0.0, 0.0)
     with style():
@@ -51,7 +50,7 @@ def sonar_frames(
         rim = np.linspace(-half, half, 100)
         outline = np.concatenate([sensor[None], to_earth(scope + 0 * rim, rim), sensor[None]])
         plane.plot(*outline.T, color=COLOURS[0], lw=1.2, zorder=2, label="sector and scope")
-        north = sensor + np.array([0.0, 0.55 * scope])
+        north: Any = sensor + np.array([0.0, 0.55 * scope])
         plane.plot(*np.stack([sensor, north]).T, color=INK, lw=0.9, ls=(0, (4, 2)))
         plane.annotate("north", north, (0, 3), textcoords="offset points", ha="center")
         for angle, word in ((0.0, "ahead"), (np.pi / 2, "starboard")):

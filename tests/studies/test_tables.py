@@ -100,8 +100,8 @@ def test_what_fails_is_listed_whatever_else_is_smoke():
         Row("shown", tables.rate(1, 1000), "", None),
     ]
     table = tables.failed_table("Marks", rows)
-    assert table.row_count == 1
     assert not isinstance(table, str)
+    assert table.row_count == 1
     assert str(table.title).startswith("Marks: 1 of 3 pass, 1 smoke")
     # Without a row there is no table, but the count.
     assert tables.failed_table("Marks", rows[2:]) == "Marks: 1 of 1 pass."
