@@ -5,7 +5,8 @@
 
 Every `associate(predicted, scan, params, key)` is one look of one realization, with tables of
 fixed size. One detection a track at most: `nearest`, `pda`, `jpda` (exact, at most 10 tracks),
-`belief_propagation` (any number), updated by `update_mixture`. Several echoes a track: `cloud`
+`belief_propagation` (any number), updated by `update_mixture`, or, if it is a choice of one,
+`update_single`. Several echoes a track: `cloud`
 (the cloud model) and `pmht`, updated by `update_centroid`. `ASSOCIATORS` has them by name.
 """
 
@@ -19,10 +20,11 @@ from jaxtrack.association.gating import (
     OwnView,
     Predicted,
     gate,
+    gated_once,
     likelihood_ratios,
     predict_measurement,
 )
-from jaxtrack.association.moments import update_centroid, update_mixture
+from jaxtrack.association.moments import update_centroid, update_mixture, update_single
 from jaxtrack.association.precedence import in_turn
 
 __all__ = [
@@ -38,6 +40,7 @@ __all__ = [
     "belief_propagation",
     "cloud",
     "gate",
+    "gated_once",
     "in_turn",
     "jpda",
     "likelihood_ratios",
@@ -47,4 +50,5 @@ __all__ = [
     "predict_measurement",
     "update_centroid",
     "update_mixture",
+    "update_single",
 ]

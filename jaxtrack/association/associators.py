@@ -5,7 +5,7 @@ from typing import NamedTuple, Protocol
 
 from jaxtrack.association import belief_propagation, cloud, jpda, nearest, pda, pmht
 from jaxtrack.association.gating import Associate, Association, Predicted
-from jaxtrack.association.moments import update_centroid, update_mixture
+from jaxtrack.association.moments import update_centroid, update_mixture, update_single
 from jaxtrack.types import Array, Scan
 
 
@@ -35,9 +35,9 @@ _single = functools.partial(update_centroid, noise="single")
 _nearest_centre = functools.partial(cloud.sampled, pairing="nearest")
 
 ASSOCIATORS: dict[str, Associator] = {
-    "nearest": Associator(nearest.independent, update_mixture),
-    "greedy": Associator(nearest.greedy, update_mixture),
-    "optimal": Associator(nearest.optimal, update_mixture),
+    "nearest": Associator(nearest.independent, update_single),
+    "greedy": Associator(nearest.greedy, update_single),
+    "optimal": Associator(nearest.optimal, update_single),
     "pda": Associator(pda.associate, update_mixture),
     "jpda": Associator(jpda.associate, update_mixture),
     "belief_propagation": Associator(belief_propagation.associate, update_mixture),

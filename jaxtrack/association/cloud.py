@@ -192,7 +192,7 @@ def _of_nearest_centres(
     """Return the members of the class whose centre is each track's, [T, N]; of none: zeros."""
     full = found.cloud.mass > 0
     centres = Scan(jnp.zeros(()), jnp.asarray(True), found.cloud.expectation, full)
-    near = gate(predicted._replace(view=None), centres, params.gate)
+    near = gate(predicted._replace(view=None, gated=None), centres, params.gate)
     columns = greedy_pairs(near.squared_distance, near.inside)
     members = found.members[jnp.where(columns >= 0, columns, 0)]
     return jnp.where((columns >= 0)[:, None], members, 0.0).astype(gated.density_per_m2.dtype)

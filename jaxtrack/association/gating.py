@@ -31,6 +31,14 @@ class OwnView(NamedTuple):
     noise_m2: Array  # [T, M, 2, 2] R, or [T, 1, 2, 2] of all detections
 
 
+class Gated(NamedTuple):
+    """What the gate leaves."""
+
+    squared_distance: Array  # [T, M] d²; 0 where there is no pair
+    inside: Array  # [T, M]
+    density_per_m2: Array  # [T, M] detection's weight × N(z; ẑ, S); zero outside the gate
+
+
 class Predicted(NamedTuple):
     """Where the tracks are expected in a look; T slots."""
 
@@ -39,6 +47,7 @@ class Predicted(NamedTuple):
     noise_m2: Array  # [2, 2] or [T, 2, 2] R, where a scan has no covariances of its own
     mask: Array  # [T]
     view: OwnView | None = None  # stands for the scan's positions and covariances
+    gated: Gated | None = None  # what the gate left of the look, where it has been asked before
 
 
 class Association(NamedTuple):
@@ -69,14 +78,6 @@ class Innovations(NamedTuple):
     determinant: Array  # det S, [T, M] or [T, 1]
     present: Array  # [T, M] track and detection exist, S is positive definite
     weight: Array  # [1, M] of the detections
-
-
-class Gated(NamedTuple):
-    """What the gate leaves."""
-
-    squared_distance: Array  # [T, M] d²; 0 where there is no pair
-    inside: Array  # [T, M]
-    density_per_m2: Array  # [T, M] detection's weight × N(z; ẑ, S); zero outside the gate
 
 
 def predict_measurement(
@@ -140,16 +141,9 @@ def innovations(predicted: Predicted, scan: Scan) -> Innovations:
     check_array("scan.position_m", scan.position_m, shape=("M", 2))
     detections = scan.position_m.shape[0]
     check_array("scan.mask", scan.mask, shape=(detections,))
-
     dtype = predicted.position_m.dtype
     there = predicted.mask.astype(bool)
-    counts = scan.mask.astype(bool) & scan.valid
-    if scan.weight is None:
-        weight = jnp.where(counts, jnp.ones(detections, dtype), 0.0)
-    else:
-        check_array("scan.weight", scan.weight, shape=(detections,))
-        weight = jnp.where(counts, scan.weight, 0.0)
-        counts = counts & (weight > 0)
+    counts, weight = _counted(scan, dtype)
     z = jnp.where(counts[:, None], scan.position_m, 0.0)
     expected = jnp.where(there[:, None], predicted.position_m, 0.0)
     pair = there[:, None] & counts[None, :]
@@ -172,7 +166,8 @@ def innovations(predicted: Predicted, scan: Scan) -> Innovations:
     determinant = xx * yy - xy * xy
     definite = (determinant > 0) & (xx > 0)
     determinant = jnp.where(definite, determinant, 1.0)
-    inverse = yy / determinant, -xy / determinant, xx / determinant
+    over = 1 / determinant
+    inverse = yy * over, -xy * over, xx * over
     return Innovations(x, y, noise, inverse, determinant, pair & definite, weight[None])
 
 
@@ -182,13 +177,12 @@ def gate(predicted: Predicted, scan: Scan, gate: Array | float = 9.21) -> Gated:
         d² = vᵀ S⁻¹ v < γ,    w N(v; 0, S) = w exp(−d²/2) / (2π √det S)
 
     Args:
-        predicted: T tracks.
+        predicted: T tracks; of those that were `gated_once` only masks and weights are looked at.
         scan: one look of M detections.
         gate: γ.
 
     Raises:
         ValueError: shapes do not fit.
-        TypeError: not real numbers.
 
     Example:
         >>> predicted = Predicted(jnp.zeros((1, 2)), jnp.eye(2)[None], jnp.eye(2), jnp.ones(1, bool))
@@ -200,24 +194,45 @@ def gate(predicted: Predicted, scan: Scan, gate: Array | float = 9.21) -> Gated:
 
     Source: clustering cloud-like model (2019), equation 9 and the sentence before it.
     """  # noqa: E501
+    if predicted.gated is not None:
+        counts, weight = _counted(scan, predicted.position_m.dtype)
+        known = predicted.gated
+        inside = known.inside & (predicted.mask.astype(bool)[:, None] & counts[None, :])
+        density = jnp.where(inside, weight[None] * known.density_per_m2, 0.0)
+        return known._replace(inside=inside, density_per_m2=density)
     found = innovations(predicted, scan)
     square = _square(found)
     inside = found.present & (square < jnp.asarray(gate, square.dtype))
     # Far pairs would underflow: their density is not asked for.
     near = jnp.where(inside, square, 0.0)
-    density = found.weight * jnp.exp(-near / 2) / (2 * jnp.pi * jnp.sqrt(found.determinant))
+    peak = 1 / (2 * jnp.pi * jnp.sqrt(found.determinant))
+    density = found.weight * (peak * jnp.exp(-near / 2))
     return Gated(square, inside, jnp.where(inside, density, 0.0))
+
+
+def gated_once(predicted: Predicted, scan: Scan, limit: Array | float = 9.21) -> Predicted:
+    """Return tracks that know their gates in a look, γ the limit, for all who ask again.
+
+    Masks and the detections' weights may change afterwards, the look and γ may not.
+
+    Example:
+        >>> one = Predicted(jnp.zeros((1, 2)), jnp.eye(2)[None], jnp.eye(2), jnp.ones(1, bool))
+        >>> scan = Scan(jnp.array(0.0), jnp.array(True), jnp.ones((1, 2)), jnp.ones(1, bool))
+        >>> print(gate(gated_once(one, scan)._replace(mask=jnp.zeros(1, bool)), scan).inside)
+        [[False]]
+    """
+    return predicted._replace(gated=gate(predicted, scan._replace(weight=None), limit))
 
 
 def log_densities(predicted: Predicted, scan: Scan) -> Array:
     """Return log N(z; ẑ, S) of all pairs, whether in a gate or not, [T, M]; without weights.
 
     Example:
-        >>> predicted = Predicted(jnp.zeros((1, 2)), jnp.eye(2)[None], jnp.eye(2), jnp.ones(1, bool))
+        >>> one = Predicted(jnp.zeros((1, 2)), jnp.eye(2)[None], jnp.eye(2), jnp.ones(1, bool))
         >>> scan = Scan(jnp.array(0.0), jnp.array(True), jnp.ones((1, 2)), jnp.ones(1, bool))
-        >>> print(log_densities(predicted, scan).round(2))
+        >>> print(log_densities(one, scan).round(2))
         [[-3.03]]
-    """  # noqa: E501
+    """
     found = innovations(predicted, scan)
     return -(_square(found) + jnp.log(4 * jnp.pi**2 * found.determinant)) / 2
 
@@ -247,7 +262,7 @@ def likelihood_ratios(
     clutter = jnp.asarray(params.clutter_per_m2, dtype)
     clutter = jnp.where(clutter > 1e-30, clutter, jnp.asarray(1e-30, dtype))
     in_gate = -jnp.expm1(-jnp.asarray(params.gate, dtype) / 2)
-    return detect[:, None] * gated.density_per_m2 / clutter, 1 - detect * in_gate
+    return (detect / clutter)[:, None] * gated.density_per_m2, 1 - detect * in_gate
 
 
 def detection_probability(predicted: Predicted, params: AssociationParams) -> Array:
@@ -277,3 +292,13 @@ def _square(found: Innovations) -> Array:
     """Return d²."""
     ixx, ixy, iyy = found.inverse
     return ixx * found.x_m**2 + 2 * ixy * found.x_m * found.y_m + iyy * found.y_m**2
+
+
+def _counted(scan: Scan, dtype: jnp.dtype) -> tuple[Array, Array]:
+    """Return which detections count, and their weights, [M]."""
+    counts = scan.mask.astype(bool) & scan.valid
+    if scan.weight is None:
+        return counts, jnp.where(counts, jnp.ones(counts.shape, dtype), 0.0)
+    check_array("scan.weight", scan.weight, shape=counts.shape)
+    weight = jnp.where(counts, scan.weight, 0.0)
+    return counts & (weight > 0), weight

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from jaxtrack.association.gating import Association, Predicted, innovations
+from jaxtrack.association.gating import Association, OwnView, Predicted, innovations
 from jaxtrack.numerics.checks import check_array, check_choice
 from jaxtrack.numerics.safe import safe_divide
 from jaxtrack.types import Array, Scan
@@ -84,6 +84,62 @@ def update_mixture(
         middle = [one + (beta * more).sum(-1) for one, more in zip(middle, scatter, strict=True)]
     step = _Step(ybar, mean_inverse, (middle[0], middle[1], middle[2]), total, association.miss)
     return _move(mean, covariance, there, step)
+
+
+def update_single(
+    mean: Array, covariance: Array, predicted: Predicted, scan: Scan, association: Association
+) -> tuple[Array, Array]:
+    """Return `update_mixture` where a track has one detection or none: it looks at no other.
+
+    Args:
+        mean: [T, S] predicted states, position first.
+        covariance: [T, S, S].
+        predicted: their predicted measurements, as `predict_measurement` gives them.
+        scan: one look of M detections.
+        association: of it, a row's weights zero but for one at most.
+
+    Returns:
+        Means [T, S] and covariances [T, S, S]; what stands in empty slots stays.
+
+    Raises:
+        ValueError: shapes do not fit.
+        TypeError: not real numbers.
+
+    Example:
+        >>> mean, covariance = jnp.zeros((1, 2)), jnp.eye(2)[None]
+        >>> predicted = Predicted(mean, covariance, jnp.eye(2), jnp.ones(1, bool))
+        >>> places = jnp.array([[9.0, 9.0], [1.0, 1.0]])
+        >>> scan = Scan(jnp.array(0.0), jnp.array(True), places, jnp.ones(2, bool))
+        >>> one = Association(jnp.array([[0.0, 1.0]]), jnp.zeros(1), jnp.array(True))
+        >>> print(update_single(mean, covariance, predicted, scan, one)[0])
+        [[0.5 0.5]]
+    """
+    _check(mean, covariance, predicted, association)
+    tracks, detections = association.weight.shape
+    if detections == 0:
+        return update_mixture(mean, covariance, predicted, scan, association)
+    some = association.weight > 0
+    every = jnp.arange(detections, dtype=jnp.int32)
+    taken = jnp.where(some, every[None, :], -1).max(1)
+    seen, at = taken >= 0, jnp.maximum(taken, 0)
+    slots = jnp.arange(tracks, dtype=jnp.int32)
+    view = predicted.view
+    place = scan.position_m[at] if view is None else view.position_m[slots, at]
+    if view is not None:
+        own = view.noise_m2[:, 0] if view.noise_m2.shape[1] == 1 else view.noise_m2[slots, at]
+    elif scan.covariance_m2 is not None:
+        own = scan.covariance_m2[at]
+    else:
+        own = jnp.broadcast_to(predicted.noise_m2, (tracks, 2, 2))
+    unit = jnp.eye(2, dtype=mean.dtype)[None]
+    mine = OwnView(
+        jnp.where(seen[:, None], place, 0.0)[:, None],
+        jnp.where(seen[:, None, None], own, unit)[:, None],
+    )
+    one = jnp.ones(1, bool)
+    look = Scan(scan.time_s, scan.valid, jnp.zeros((1, 2), mean.dtype), one)
+    weight = association._replace(weight=association.weight.sum(1, keepdims=True))
+    return update_mixture(mean, covariance, predicted._replace(view=mine), look, weight)
 
 
 def update_centroid(
@@ -194,7 +250,11 @@ def _move(mean: Array, covariance: Array, there: Array, step: _Step) -> tuple[Ar
     ixx, ixy, iyy = (one[:, None] for one in step.inverse)
     kx, ky = bx * ixx + by * ixy, bx * ixy + by * iyy
     left = p - _outer(kx, bx) - _outer(ky, by)
-    both = left - _outer(left[:, :, 0], kx) - _outer(left[:, :, 1], ky)
+    # Its first two columns, told apart: the compiler computes what it fuses anew for each entry.
+    first, second = (
+        one - kx * bx[:, k, None] - ky * by[:, k, None] for k, one in enumerate((bx, by))
+    )
+    both = left - _outer(first, kx) - _outer(second, ky)
     wxx, wxy, wyy = (one[:, None] for one in step.middle)
     through = _outer(bx * wxx + by * wxy, bx) + _outer(bx * wxy + by * wyy, by)
     after = step.miss[:, None, None] * p + step.total[:, None, None] * both + through

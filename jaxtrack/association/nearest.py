@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack.association.gating import Association, AssociationParams, Gated, Predicted, gate
-from jaxtrack.numerics.assignment import assign
+from jaxtrack.numerics.assignment import pair_up
 from jaxtrack.numerics.masked import masked_argmin
 from jaxtrack.types import Array, Key, Scan
 
@@ -102,15 +102,9 @@ def optimal(
          [1. 0.]]
     """
     gated = gate(predicted, scan, params.gate)
-    tracks, detections = gated.inside.shape
-    if tracks == 0 or detections == 0:
-        return _of(jnp.full(tracks, -1, jnp.int32), gated)
-    # A pair gains what a miss would cost more. Pairs of gain 0 are misses, so that every track
-    # (or detection) can be matched and the largest matching that `assign` wants forbids nothing.
+    # A pair gains what a miss would cost more.
     limit = jnp.asarray(params.gate, gated.squared_distance.dtype)
-    cost = jnp.where(gated.inside, gated.squared_distance - limit, 0.0)
-    found = assign(cost, jnp.ones(tracks, bool), jnp.ones(detections, bool))
-    return _of(found.columns, gated)
+    return _of(pair_up(jnp.where(gated.inside, limit - gated.squared_distance, 0.0)), gated)
 
 
 def greedy_pairs(distance: Array, allowed: Array) -> Array:
@@ -126,25 +120,38 @@ def greedy_pairs(distance: Array, allowed: Array) -> Array:
         [ 0 -1]
     """
     rows, columns = distance.shape
-    every_row, every_column = (jnp.arange(n, dtype=jnp.int32) for n in (rows, columns))
     if rows == 0 or columns == 0:
         return jnp.full(rows, -1, jnp.int32)
-    distance = jax.lax.stop_gradient(distance)
+    every_row, every_column = (jnp.arange(n, dtype=jnp.int32) for n in (rows, columns))
+    distance = jnp.where(allowed, jax.lax.stop_gradient(distance), jnp.inf)
 
-    # Pairs that are each other's closest are all taken at once: none of them, nor a closer pair,
-    # would take from another. A few rounds do what would else need one step a pair.
-    def take(state: tuple[Array, Array]) -> tuple[Array, Array]:
-        found, open_ = state
-        column = masked_argmin(distance, open_, axis=1).astype(jnp.int32)
-        row = masked_argmin(distance, open_, axis=0).astype(jnp.int32)
-        own = every_column[None, :] == column[:, None]
-        mutual = open_ & own & (every_row[:, None] == row[None, :])
-        mine, theirs = mutual.any(1), mutual.any(0)
-        found = jnp.where(mine, column, found)
-        return found, open_ & ~mine[:, None] & ~theirs[None, :]
+    # Rows propose to their nearest columns, columns keep the nearest row: all that is left is for
+    # rows that were turned away, one at a time. Where both sides rank pairs by one number that ends
+    # in the pairs of the closest first.
+    least = distance.min(1)
+    at = jnp.where(distance == least[:, None], every_column[None, :], columns).min(1)
+    own = (every_column[None, :] == at[:, None]) & (least < jnp.inf)[:, None]
+    near = jnp.where(own, least[:, None], jnp.inf).min(0)
+    row = jnp.where(own & (least[:, None] == near[None, :]), every_row[:, None], rows).min(0)
+    kept = (own & (row[None, :] == every_row[:, None])).any(1)
+    begin = near, row, (least < jnp.inf) & ~kept
 
-    start = jnp.full(rows, -1, jnp.int32), allowed
-    return jax.lax.while_loop(lambda state: state[1].any(), take, start)[0]
+    def propose(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        near, row, waiting = state
+        me = jnp.where(waiting, every_row, rows).min()
+        mine = distance[me]
+        welcome = (mine < near) | ((mine == near) & (me < row))
+        offer = jnp.where(welcome, mine, jnp.inf)
+        best = offer.min()
+        chosen = jnp.where(offer == best, every_column, columns).min()
+        here = (every_column == chosen) & (best < jnp.inf)
+        turned_away = jnp.where(here, row, rows).min()
+        waiting = (waiting & (every_row != me)) | (every_row == turned_away)
+        return jnp.where(here, best, near), jnp.where(here, me, row), waiting
+
+    row = jax.lax.while_loop(lambda state: state[2].any(), propose, begin)[1]
+    own = row[None, :] == every_row[:, None]
+    return jnp.where(own, every_column[None, :], -1).max(1)
 
 
 def _of(columns: Array, gated: Gated) -> Association:

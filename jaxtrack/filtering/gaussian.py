@@ -154,15 +154,19 @@ def correct(
     check_array("matrix", matrix, shape=(places, size))
     check_array("noise", noise, shape=(places, places))
     cross = covariance @ matrix.T
-    spread = symmetric(matrix @ cross + noise)
+    seen = matrix @ cross
+    spread = symmetric(seen + noise)
     root, definite = scaled_root(spread, floor=rounding_floor(spread))
-    white = root @ innovation
-    gain = cross @ root.T @ root
-    kept = jnp.eye(size, dtype=gain.dtype) - gain @ matrix
-    after = symmetric(kept @ covariance @ kept.T + gain @ noise @ gain.T)
+    white = (root * innovation[None, :]).sum(1)
+    gain = _product(cross, _product(root.T, root))
+    # (I − K H) P (I − K H)ᵀ from the left and then from the right, with H P at hand.
+    left = covariance - _product(gain, cross.T)
+    both = left - _product(cross - _product(gain, seen), gain.T)
+    after = symmetric(both + _product(_product(gain, noise), gain.T))
     half_log_determinant = -jnp.log(jnp.diagonal(root)).sum() + places / 2 * math.log(2 * math.pi)
     log_likelihood = -(white @ white) / 2 - half_log_determinant
-    return Update(mean + gain @ innovation, after, innovation, spread, log_likelihood, definite)
+    moved = mean + (gain * innovation[None, :]).sum(1)
+    return Update(moved, after, innovation, spread, log_likelihood, definite)
 
 
 def begin(prior: Prior) -> FilterState:
@@ -258,3 +262,10 @@ def recursion(
         return FilterState(jnp.where(scan.valid, scan.time_s, state.time_s), *filtered), info
 
     return Estimator(init, step)
+
+
+def _product(a: Array, b: Array) -> Array:
+    """Return A B written out: batches of small products run as plain arithmetic, several fused."""
+    return sum(
+        (a[:, k, None] * b[None, k, :] for k in range(1, a.shape[1])), a[:, 0, None] * b[None, 0, :]
+    )

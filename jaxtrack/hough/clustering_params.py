@@ -31,6 +31,12 @@ class ClusteringParams(NamedTuple):
     The number is so often exact because K0 is the number of targets of the scenes: with these
     parameters patterns seldom divide, merge or vanish. A mean above the median says that three
     patterns need not be the three targets.
+
+    Note:
+        The exact number says little. In 2 000 fresh windows of table 2 it was exact in all (median
+        2.8 m, mean 4.4 m), but only 84 % had a track within 10 m of each of the three targets;
+        without any target there were 2.7 tracks on average; and in generated scenes of one to five
+        targets it was exact in .01, .08, .96, .00 and .00 of some 1 400 windows each.
     """
 
     x: LineGrid = LineGrid(-9.8, 0.207, -49.7, 6.95)

@@ -39,11 +39,10 @@ def zernike(xy: Array, weight: Array, *, orders: Orders, radius: Array | float) 
 
         R_nm(ρ) = Σ_s (−1)^s (n − s)! / (s! ((n + |m|)/2 − s)! ((n − |m|)/2 − s)!) ρ^(n − 2s)
 
-    Turned by φ about the origin, points have Z_nm exp(−j m φ): |Z_nm| stays. Mirrored in the
-    x axis, they have the conjugate. Points and radius times a factor, or weights times one, change
-    nothing.
-    Points moved change everything: subtract the centre first, a particle or the centroid. Without
-    weight in the disc, the moments are zero.
+    Turned by φ about the origin, points have Z_nm exp(−j m φ): |Z_nm| stays. Mirrored in the x
+    axis, they have the conjugate. Points and radius times a factor, or weights times one, change
+    nothing. Points moved change everything: subtract the centre first, a particle or the centroid.
+    Without weight in the disc, the moments are zero.
 
     `mahotas.features.zernike_moments(image, radius, degree, cm)` returns |Z_nm| for all n ≤ degree
     and m ≥ 0, with the same prefactor and the same division by the mass in the disc; its points are
@@ -119,7 +118,7 @@ def _moments(xy: Array, weight: Array, orders: Orders, radius: Array | float) ->
     orders = check_orders(orders)
     dtype = xy.dtype
     radius = check_positive("radius", radius, dtype)
-    z = xy / radius
+    z = xy * (1 / radius)
     highest = max(n for n, _ in orders)
     sums = _explicit if highest <= _EXPLICIT else _recurrent
     mass, real, imaginary = sums(z[:, 0], z[:, 1], weight, orders)
@@ -141,10 +140,12 @@ def _explicit(x: Array, y: Array, w: Array, orders: Orders) -> tuple[Array, Arra
     In ρ² the coefficients of R_91 add up to 681, and their rounding with them; in u to 9.
     """
     u = 2 * (x * x + y * y) - 1
-    powers = [(jnp.ones_like(x), jnp.zeros_like(x))]
-    for _ in range(max(abs(m) for _, m in orders)):
-        a, b = powers[-1]
-        powers.append((a * x - b * y, a * y + b * x))
+    # The parts of z^m, m by m from z^(m−2): most sets of orders have few m, of one parity.
+    even, odd = x * x - y * y, 2 * x * y
+    powers = [(jnp.ones_like(x), jnp.zeros_like(x)), (x, y)]
+    for _ in range(2, max(abs(m) for _, m in orders) + 1):
+        a, b = powers[-2]
+        powers.append((a * even - b * odd, a * odd + b * even))
     terms = [w]
     for n, m in orders:
         coefficients = radial_coefficients(n, abs(m))

@@ -6,7 +6,7 @@ linear assignment problem; `bijectors` takes constrained parameters to the reals
 words the errors of shapes, dtypes and static arguments.
 """
 
-from jaxtrack.numerics.assignment import Assignment, assign
+from jaxtrack.numerics.assignment import Assignment, assign, pair_up
 from jaxtrack.numerics.bijectors import (
     Bijector,
     bijector_of,
@@ -68,6 +68,7 @@ __all__ = [
     "masked_mean",
     "masked_min",
     "masked_sum",
+    "pair_up",
     "positive",
     "rounding_floor",
     "safe_arctan2",

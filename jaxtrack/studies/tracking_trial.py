@@ -49,7 +49,7 @@ WINDOW = 20
 TRACKERS = ("hough joint", "hough CSHT", "kalman paper", "kalman JPDA")
 FLOOR = "delay floor"  # told which detection is whose, once the evidence is there
 TRUTHS = ("visible", "table")
-KEEP, CONFIRM = 6.0, 10.0  # nats of evidence that keep a track alive, and that confirm it
+KEEP, CONFIRM = 6.0, 12.0  # nats of evidence that keep a track alive, and that confirm it
 
 _PAIRS = {"per_beam": 32768, "per_scan": 8192}
 _SLOTS = 12

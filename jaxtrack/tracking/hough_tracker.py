@@ -16,7 +16,7 @@ import numpy as np
 from jaxtrack.filtering.gaussian import Moments, choose, correct, predict
 from jaxtrack.models.motion import transition_matrix
 from jaxtrack.models.process import white_noise_acceleration
-from jaxtrack.numerics.assignment import assign
+from jaxtrack.numerics.assignment import pair_up
 from jaxtrack.numerics.checks import check_array, check_known, check_size, sound
 from jaxtrack.numerics.definite import rounding_floor, scaled_root
 from jaxtrack.tracking.lifecycle import (
@@ -237,12 +237,9 @@ def _associate(
     square = each(*tracks, estimates.mean, estimates.covariance)
     gate = jnp.asarray(params.gate, square.dtype)
     inside = pair & (square < gate)
-    # A pair that costs no less than a miss is a miss.
-    cost = square - 2 * jnp.log(quality)[:, None] - gate
-    cost = jnp.where(inside & (cost < 0), cost, 0.0)
-    columns = assign(cost, jnp.ones_like(there), jnp.ones_like(estimates.mask)).columns
-    gains = jnp.take_along_axis(cost, jnp.maximum(columns, 0)[:, None], axis=1)[:, 0] < 0
-    return jnp.where((columns >= 0) & gains, columns, -1), inside.any(0)
+    # A pair gains what a miss would cost more.
+    gain = gate - square + 2 * jnp.log(quality)[:, None]
+    return pair_up(jnp.where(inside, gain, 0.0)), inside.any(0)
 
 
 def _fuse(before: Moments, own: Moments) -> Moments:

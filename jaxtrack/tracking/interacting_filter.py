@@ -62,8 +62,9 @@ def interacting_filter(
         >>> filter = interacting_filter([straight(0.01, 0.3), coordinated_turn(0.01, 0.01)],
         ...                             jnp.array([0.9, 0.1]), switching, 1.0, (3.0, 3.0, 0.3))
         >>> scan = Scan(jnp.array(0.0), jnp.array(True), jnp.ones((1, 2)), jnp.ones(1, bool))
-        >>> print(filter.predict(filter.start(scan), jnp.array(1.0)).probability.round(2))
-        [[0.86 0.14]]
+        >>> later = filter.predict(filter.start(scan), jnp.array(1.0))
+        >>> print([f"{x:.2f}" for x in later.probability[0]])
+        ['0.86', '0.14']
 
     Source: H. Blom and Y. Bar-Shalom, The interacting multiple model algorithm for systems with
     Markovian switching coefficients (1988); with the weights of several detections as in A. Houles

@@ -16,8 +16,8 @@ from jaxtrack.association import (
     ASSOCIATORS,
     AssociationParams,
     Associator,
-    Predicted,
     gate,
+    gated_once,
     in_turn,
     likelihood_ratios,
 )
@@ -163,7 +163,7 @@ def kalman_tracker(
         time_s = jnp.where(look.valid, look.time_s, tracks.time_s)
         dt_s = jnp.where(tracks.mask.any(), time_s - tracks.time_s, 0.0)
         moved = _where(tracks.mask, of.predict(state.beliefs, dt_s), state.beliefs)
-        predicted = of.measure(moved, scan, tracks.mask)
+        predicted = gated_once(of.measure(moved, scan, tracks.mask), look, number(params.gate))
         detect = number(params.p_detect) * jnp.ones(max_tracks, dtype)
         detect = detect * jax.vmap(sees, (0, None))(of.moments(moved).mean, scan)
         known = AssociationParams(
@@ -191,7 +191,8 @@ def kalman_tracker(
         graded = grade(
             table._replace(tracks=updated), claimed >= _SEEN, counted, look.valid, params.lifecycle
         )
-        free = _unclaimed(predicted, look, found.weight, tracks, params)
+        held = gate(predicted, look, known.gate).inside & confirmed[:, None]
+        free = _unclaimed(look, found.weight, held.any(0))
         weight = jnp.ones(free.shape, dtype) if look.weight is None else look.weight
         started = of.start(look)
         births = Births(*of.moments(started), free, safe_log(jnp.where(free, weight, 1.0)))
@@ -221,15 +222,11 @@ def _where(slots: Array, yes: TreeT, no: TreeT) -> TreeT:
     return jax.tree.map(pick, yes, no)
 
 
-def _unclaimed(
-    predicted: Predicted, scan: Scan, weight: Array, tracks: Tracks, params: KalmanTrackerParams
-) -> Array:
+def _unclaimed(look: Scan, weight: Array, held: Array) -> Array:
     """Return which detections start a track, [N]."""
-    counts = scan.mask & scan.valid
-    if scan.weight is not None:
-        counts = counts & (jnp.where(counts, scan.weight, 0.0) > 0)
-    confirmed = predicted.mask & (tracks.stage >= Stage.CONFIRMED)
-    held = gate(predicted._replace(mask=confirmed), scan, params.gate).inside.any(0)
+    counts = look.mask & look.valid
+    if look.weight is not None:
+        counts = counts & (jnp.where(counts, look.weight, 0.0) > 0)
     return counts & ~held & (weight.sum(0) < _SEEN)
 
 

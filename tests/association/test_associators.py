@@ -19,6 +19,7 @@ from jaxtrack.association import (
     predict_measurement,
     update_centroid,
     update_mixture,
+    update_single,
 )
 from tests.association.cases import KINDS, SIZES, as_lists, as_table, case, cases, predicted_of
 from tests.oracles import association, pmht
@@ -32,9 +33,11 @@ KEY = jax.random.key(3)
 EXCLUSIVE = ("greedy", "optimal", "jpda")
 SINGLE = ("cloud", "cloud_nearest", "cloud_averaged", "cloud_soft")
 SHARED = ("pmht",)
+CHOSEN = ("nearest", "greedy", "optimal")
 ONE_ECHO = tuple(name for name in ASSOCIATORS if name not in SINGLE + SHARED)
 UPDATES = {
-    update_mixture: ONE_ECHO,
+    update_mixture: tuple(name for name in ONE_ECHO if name not in CHOSEN),
+    update_single: CHOSEN,
     functools.partial(update_centroid, noise="single"): SINGLE,
     update_centroid: SHARED,
 }

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxtrack.association import ASSOCIATORS, AssociationParams, in_turn
+from jaxtrack.association import ASSOCIATORS, AssociationParams, gate, gated_once, in_turn
 from tests.association.cases import SIZES, as_lists, as_table, case, predicted_of
 from tests.oracles import association as oracle
 
@@ -95,3 +95,24 @@ def test_what_does_not_fit_is_named():
     with pytest.raises(ValueError, match=r"first: got shape \[2\], want \[3\]"):
         in_turn(ASSOCIATORS["greedy"].associate, predicted_of(one), one.scan, one.params, None,
                 np.ones(2, bool))  # fmt: skip
+
+
+def test_gates_that_are_known_are_narrowed_to_what_gates_would_be():
+    once = jax.jit(lambda one, scan, limit: gated_once(one, scan, limit))
+    plain = jax.jit(gate)
+    for seed in range(6):
+        one = case(seed, SIZES[seed % 2])
+        predicted, limit = predicted_of(one), one.params.gate
+        known = once(predicted, one.scan, limit)
+        rng = np.random.default_rng(seed)
+        tracks, detections = len(one.mask), len(one.scan.mask)
+        fewer = rng.random(tracks) < 0.6
+        weight = rng.uniform(0.0, 1.0, detections) * (rng.random(detections) < 0.8)
+        scan = one.scan._replace(weight=np.where(one.scan.mask, weight, np.nan))
+        narrow = gate(known._replace(mask=known.mask & fewer), scan, limit)
+        anew = plain(predicted._replace(mask=predicted.mask & fewer), scan, limit)
+        np.testing.assert_array_equal(narrow.inside, anew.inside)
+        np.testing.assert_allclose(narrow.density_per_m2, anew.density_per_m2, rtol=1e-12)
+        inside = np.asarray(anew.inside)
+        near = np.asarray(narrow.squared_distance)[inside]
+        np.testing.assert_allclose(near, np.asarray(anew.squared_distance)[inside], rtol=1e-12)

@@ -68,6 +68,9 @@ def test_places_beyond_the_points_are_none():
     xy, weight, centres = scene(0)
     more, all_ = windowed(xy, weight, centres, most=P + 3), windowed(xy, weight, centres, most=P)
     chex.assert_trees_all_equal(more, all_)
+    none = windowed(xy[:0], weight[:0], centres, most=3)
+    assert none.weight.shape == (N, 0)
+    assert not none.overflow
 
 
 def test_moments_of_windows_are_moments_about_the_centres():

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from jaxtrack.numerics import assign
+from jaxtrack.numerics import assign, pair_up
 from tests.oracles.assignment import least_cost_matching
 
 JITTED = jax.jit(assign)
@@ -183,3 +183,50 @@ def test_errors_name_the_argument():
         assign(jnp.zeros((2, 3)), mask, mask)
     with pytest.raises(ValueError, match=r"row_mask: got shape \[2\], want \[3\]"):
         assign(jnp.zeros((3, 2)), mask, mask)
+
+
+@pytest.mark.parametrize("shape", [(5, 4), (3, 5)])
+def test_pairs_are_made_where_they_gain_and_no_others_gain_more(shape):
+    rng = np.random.default_rng(10)
+    jitted = jax.jit(pair_up)
+    alone = 0
+    for _ in range(60):
+        gain = rng.normal(size=shape)
+        gain[rng.random(shape) < 0.2] = rng.choice([np.nan, -np.inf, 0.0])
+        gain[rng.random(shape) < 0.1] = 0.5  # ties
+        columns = np.asarray(jitted(gain))
+        rows = np.flatnonzero(columns >= 0)
+        assert (gain[rows, columns[rows]] > 0).all()
+        assert len(set(columns[rows])) == len(rows)
+        # As many as possible of more columns, all of which may be taken for nothing.
+        worth = np.where(gain > 0, gain, 0.0)
+        spare = np.concatenate([-worth, np.zeros((shape[0], shape[0]))], axis=1)
+        best = least_cost_matching(spare, np.ones_like(spare, bool))[1] if shape[0] < 4 else None
+        if best is None:
+            optimize = pytest.importorskip("scipy.optimize")
+            row, column = optimize.linear_sum_assignment(spare)
+            best = spare[row, column].sum()
+        np.testing.assert_allclose(gain[rows, columns[rows]].sum(), -best, atol=1e-12)
+        alone += len(rows) < min(shape)
+    assert alone > 3
+
+
+@pytest.mark.parametrize("shape", [(48, 32), (7, 60), (25, 25)])
+def test_scipy_agrees_on_large_sparse_and_dense_problems(shape):
+    optimize = pytest.importorskip("scipy.optimize")
+    rng = np.random.default_rng(11)
+    jitted = jax.jit(pair_up)
+    for density in (0.03, 0.3, 1.0):
+        for _ in range(8):
+            gain = np.where(rng.random(shape) < density, rng.normal(size=shape) + 1.0, 0.0)
+            spare = np.concatenate([-np.maximum(gain, 0.0), np.zeros((shape[0],) * 2)], axis=1)
+            row, column = optimize.linear_sum_assignment(spare)
+            expected = np.full(shape[0], -1)
+            pairs = spare[row, column] < 0
+            expected[row[pairs]] = column[pairs]
+            np.testing.assert_array_equal(jitted(gain), expected)
+    cost = rng.normal(size=shape)
+    full = np.ones(shape[0], bool), np.ones(shape[1], bool)
+    row, column = optimize.linear_sum_assignment(cost)
+    found = JITTED(cost, *full)
+    np.testing.assert_array_equal(np.asarray(found.columns)[row], column)

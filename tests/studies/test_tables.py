@@ -100,6 +100,7 @@ def test_what_fails_is_listed_whatever_else_is_smoke():
         Row("shown", tables.rate(1, 1000), "", None),
     ]
     table = tables.failed_table("Marks", rows)
+    assert not isinstance(table, str)
     assert table.row_count == 1
     assert not isinstance(table, str)
     assert str(table.title).startswith("Marks: 1 of 3 pass, 1 smoke")
