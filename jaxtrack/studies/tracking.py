@@ -69,7 +69,9 @@ def run(context: Context) -> None:
         tables[name] = dataset(outcomes, cells)
         for table in tracking_report.tables(tables[name], name):
             say(table)
+        say(tracking_report.consistency(tables[name], name))
         say(tracking_report.overflow(tables[name]))
+        say(tracking_report.full(tables[name]))
     generated = None
     if not smoke:
         report = functools.partial(context.progress, "generated scenes")
@@ -120,16 +122,19 @@ def dataset(outcomes: Sequence[Outcome], cells: Sequence[Rates]) -> xr.Dataset:
     values = {
         field: (dims, each(field).astype(np.float32), {"units": "m"}) for field in Scores._fields
     }
-    agreed = lambda field: np.stack(
-        [np.stack([getattr(o, field)[name] for name in names], 1) for o in outcomes]
+    by_tracker = lambda read: np.stack(
+        [np.stack([read(outcome, name) for name in names], 1) for outcome in outcomes]
     )
+    agreed = lambda field: by_tracker(lambda one, name: getattr(one.consistency[name], field))
     one = ("cell", "trial", "tracker", "look")
     rates = {name: ("cell", [getattr(c, name) for c in cells]) for name in Rates._fields}
     return xr.Dataset(
         {
             **values,
             "nees": (one, agreed("nees").astype(np.float32)),
-            "near": (one, agreed("near")),
+            "own": (one, agreed("own")),
+            "strays": (one, agreed("strays")),
+            "full": (one, by_tracker(lambda outcome, name: outcome.full[name])),
             "overflow": (("cell", "trial", "look"), np.stack([o.overflow for o in outcomes])),
         },
         coords={"truth": list(TRUTHS), "tracker": list(names), **rates},

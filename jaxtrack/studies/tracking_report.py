@@ -76,6 +76,38 @@ def overflow(table: xr.Dataset) -> str:
     )
 
 
+def full(table: xr.Dataset) -> str:
+    """Return in a sentence how often the tables of tracks turned somebody away, by tracker."""
+    said = []
+    for name in TRACKERS:
+        share = table.full.sel(tracker=name).mean(("trial", "look")).values
+        worst = int(share.argmax())
+        at = f" (at most {100 * share[worst]:.1f} %, {_name(table, worst)})" if share[worst] else ""
+        said.append(f"{name} {100 * share.mean():.1f} %{at}")
+    return f"Looks at which a table of tracks was full: {', '.join(said)}."
+
+
+def consistency(table: xr.Dataset, variant: str) -> Table:
+    """Return NEES of the tracks that are a target's most of their life, and how many are not."""
+    lines = []
+    for cell in range(table.sizes["cell"]):
+        here = table.isel(cell=cell)
+        line = []
+        for name in (*TRACKERS, FLOOR):
+            one = here.sel(tracker=name)
+            own, strays = float(one.own.sum()), float(one.strays.sum())
+            if own == 0:
+                line.append("no track")
+                continue
+            left_out = 100 * strays / (own + strays)
+            line.append(f"{float(one.nees.sum()) / own:.1f}\n{left_out:.1f} % left out")
+        lines.append(line)
+    names = [_name(table, cell) for cell in range(len(lines))]
+    title = f"False alarms: {variant}; NEES of four states, and reports of no target's track"
+    columns = [*TRACKERS, FLOOR]
+    return grid_table(title, names, columns, lines, trials=table.sizes["trial"])
+
+
 def times(seconds: Mapping[str, float]) -> Table:
     """Return the time a look beside the paper's."""
     lines = [[f"{1000 * x:.1f} ms"] for x in seconds.values()]
@@ -116,7 +148,7 @@ def marks(literal: xr.Dataset, quiet: np.ndarray) -> list[Row]:
     name = f"{_name(literal, cell)}: {_JOINT}"
     share = rate(float(right.sum()), len(right))
     rows.append(Row(f"{name}, runs of the right number throughout", share, mark=Mark(0.95)))
-    agreed = quotient(here.nees.values.sum(1), here.near.values.sum(1).astype(float))
+    agreed = quotient(here.nees.values.sum(1), here.own.values.sum(1).astype(float))
     rows.append(Row(f"{name}, NEES of four states", agreed, mark=Mark(3.0)))
     rows.append(Row(f"{name}, NEES, no more than", agreed, mark=at_most(5.0)))
     return rows

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from jaxtrack.hough import clustering_statistic, joint, pack_beams
 from jaxtrack.hough.slope_intercept import LineSizes
-from jaxtrack.metrics import KnownDetections, known_least_squares, nees, ospa
+from jaxtrack.metrics import KnownDetections, known_least_squares, ospa
 from jaxtrack.models import BEAMS, BeamSonar
 from jaxtrack.sensors import (
     SonarScene,
@@ -32,6 +32,7 @@ from jaxtrack.studies.csht_trial import (
     SPEED,
     assumed,
 )
+from jaxtrack.studies.tracking_consistency import Consistency, Found, consistency_of
 from jaxtrack.tracking import (
     HoughTrackerParams,
     KalmanPaperParams,
@@ -54,7 +55,6 @@ KEEP, CONFIRM = 6.0, 12.0  # nats of evidence that keep a track alive, and that 
 _PAIRS = {"per_beam": 32768, "per_scan": 8192}
 _SLOTS = 12
 _KALMAN_SLOTS = 96  # clutter fills many
-_TARGET_M = 20.0  # a track farther from every target is none's
 
 
 class Inputs(NamedTuple):
@@ -76,17 +76,16 @@ class Outcome(NamedTuple):
     """What one trial gives."""
 
     scores: dict[str, dict[str, Scores]]  # by truth and tracker
-    nees: dict[str, Array]  # [T] sum over a tracker's tracks near a target
-    near: dict[str, Array]  # [T] how many these are
+    consistency: dict[str, Consistency]  # by tracker
     overflow: Array  # [T] tables of the joint vote were too small
+    full: dict[str, Array]  # [T] by tracker: its table turned somebody away
 
 
-class Found(NamedTuple):
-    """What a tracker reports."""
+class Crowded(NamedTuple):
+    """Where tables were too small."""
 
-    mean: Array  # [T, M, 4]
-    covariance: Array  # [T, M, 4, 4]
-    mask: Array  # [T, M]
+    overflow: Array  # [T] that of the joint vote's pairs
+    full: Array  # [T] that of the tracks
 
 
 @functools.cache
@@ -103,19 +102,19 @@ def trial(false_alarms: str, *, targets: int = 6) -> Callable[[Key, Inputs], Out
         scans, origin = observe_known_beams(
             key, *scene, beams=BEAM_COUNT, false_alarms=false_alarms
         )
-        found, overflow = {}, jnp.zeros(scans.time_s.shape, bool)
+        found, full, overflow = {}, {}, jnp.zeros(scans.time_s.shape, bool)
         for name in TRACKERS:
             found[name], crowded = track(name, scans, scene.sonar, false_alarms, targets)
-            overflow = overflow | crowded
+            overflow, full[name] = overflow | crowded.overflow, crowded.full
         found[FLOOR] = _floor(scans, origin, visible, scene.sonar, false_alarms)
         truths = {"visible": visible, "table": scene.truth}
         scores = {
             which: {name: _scores(tracks, truth) for name, tracks in found.items()}
             for which, truth in truths.items()
         }
-        agreed = {name: _nees(tracks, visible) for name, tracks in found.items()}
-        squared, near = ({name: agreed[name][k] for name in found} for k in (0, 1))
-        return Outcome(scores, squared, near, overflow)
+        agreed = {name: consistency_of(tracks, visible) for name, tracks in found.items()}
+        full[FLOOR] = jnp.zeros_like(overflow)
+        return Outcome(scores, agreed, overflow, full)
 
     return run
 
@@ -143,7 +142,7 @@ def generated_trial(key: Key, inputs: BeamSonar) -> Outcome:
 
 def track(
     name: str, scans: BeamScan, sonar: BeamSonar, false_alarms: str, targets: int
-) -> tuple[Found, Array]:
+) -> tuple[Found, Crowded]:
     """Return what a tracker reports at every look, and where its tables were too small.
 
     Only what is confirmed and in sight counts. To the joint vote and the sensible Kalman tracker a
@@ -154,8 +153,10 @@ def track(
     tracks: Tracks = info.tracks
     seen = jax.vmap(lambda mean, pose: in_view(mean[:, :2], pose, sonar))(tracks.mean, scans.pose)
     mask = (tracks.stage >= Stage.CONFIRMED) & seen
-    crowded = info.info.overflow if name == "hough joint" else jnp.zeros(mask.shape[0], bool)
-    return Found(tracks.mean, tracks.covariance, mask), crowded
+    none = jnp.zeros(mask.shape[0], bool)
+    overflow = info.info.overflow if name == "hough joint" else none
+    reported = Found(tracks.mean, tracks.covariance, mask, tracks.identity)
+    return reported, Crowded(overflow, info.full)
 
 
 def _tracker(
@@ -263,7 +264,8 @@ def _floor(
         return found.state, found.covariance
 
     mean, covariance = jax.lax.map(fit, (scans.time_s, truth.state))
-    return Found(mean, covariance, known & truth.mask)
+    identity = jnp.broadcast_to(jnp.arange(targets, dtype=jnp.int32), truth.mask.shape)
+    return Found(mean, covariance, known & truth.mask, identity)
 
 
 def _scores(found: Found, truth: Truth) -> Scores:
@@ -273,18 +275,3 @@ def _scores(found: Found, truth: Truth) -> Scores:
         )
     )
     return Scores(*each(found.mean, found.mask, truth.state, truth.mask))
-
-
-def _nees(found: Found, truth: Truth) -> tuple[Array, Array]:
-    """Return the sum of NEES over tracks near a target and their number, [T] each."""
-
-    def look(mean: Array, covariance: Array, mask: Array, state: Array, there: Array):
-        gap = ((mean[:, None, :2] - state[None, :, :2]) ** 2).sum(-1)
-        gap = jnp.where(there[None], gap, jnp.inf)
-        near = mask & (gap.min(1) < _TARGET_M**2)
-        unit = jnp.eye(4, dtype=mean.dtype)[None]
-        spread = jnp.where(near[:, None, None], covariance, unit)
-        squared = jax.vmap(lambda *x: nees(*x).squared)(mean, spread, state[gap.argmin(1)])
-        return jnp.where(near, squared, 0.0).sum(), near.sum()
-
-    return jax.vmap(look)(*found, truth.state, truth.mask)

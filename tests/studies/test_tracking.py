@@ -2,9 +2,16 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from jaxtrack.studies import tables, tracking, tracking_paper, tracking_report
+from jaxtrack.studies import (
+    tables,
+    tracking,
+    tracking_consistency,
+    tracking_paper,
+    tracking_report,
+)
 from jaxtrack.studies.csht import CELLS
 from jaxtrack.studies.tracking_trial import FLOOR, TRACKERS, TRUTHS
+from jaxtrack.types import Truth
 
 NAMES = (*TRACKERS, FLOOR)
 LOOKS = 199
@@ -29,7 +36,9 @@ def made_up(*, joint=1.2, late=0, share_right=1.0, nees=4.0, trials=100):
             "localization": (dims, loc),
             "cardinality": (dims, card),
             "nees": (one, np.full(shape, 3 * nees)),
-            "near": (one, np.full(shape, 3)),
+            "own": (one, np.full(shape, 3)),
+            "strays": (one, np.full(shape, 1)),
+            "full": (one, np.broadcast_to(np.array(NAMES)[:, None] == "kalman paper", shape)),
         },
         coords={"truth": list(TRUTHS), "tracker": list(NAMES), **rates},
     )
@@ -95,3 +104,40 @@ def test_figures_of_the_paper_are_found_by_rates():
     assert tracking_report.paper_figure(table, at[0], "distance", "CSHT") == 1.91
     noisy = [k for k, c in enumerate(CELLS) if c.sigma_m == 5.0]
     assert tracking_report.paper_figure(table, noisy[0], "cardinality", "Kalman") == 5.23
+
+
+def test_the_report_counts_what_is_left_out_and_which_tables_were_full():
+    table = made_up(trials=2)
+    grid = tracking_report.consistency(table, "literal")
+    assert all(cell == "4.0\n25.0 % left out" for cell in grid.columns[1]._cells)
+    said = tracking_report.full(table)
+    assert "hough joint 0.0 %," in said
+    assert "kalman paper 100.0 % (at most 100.0 %" in said
+
+
+def test_a_track_is_the_targets_that_it_is_near_most_of_its_life():
+    looks = 9
+    state = np.zeros((looks, 2, 4))
+    state[:, 1, 0] = 500.0
+    there = np.ones((looks, 2), bool)
+    there[7:, 0] = False  # the first target goes
+    mean = np.zeros((looks, 3, 4))
+    mean[:, 0, 1] = 2.0  # the first target's track, which outlives it
+    mean[:, 1, 0] = np.where(np.arange(looks) < 3, 5.0, 90.0)  # passes it, and is false
+    mean[:, 2, 0] = np.where(np.arange(looks) < 4, 505.0, 900.0)  # two lives in a slot
+    identity = np.tile([4, 5, 6], (looks, 1))
+    identity[4:, 2] = 7
+    mask = np.ones((looks, 3), bool)
+    mask[6, 0] = False
+    covariance = np.broadcast_to(4.0 * np.eye(4), (looks, 3, 4, 4))
+    found = tracking_consistency.Found(mean, covariance, mask, identity)
+    truth = Truth(np.arange(looks), state, there)  # pyright: ignore
+    owner = np.asarray(tracking_consistency.owners(found, truth))
+    assert (owner[mask[:, 0], 0] == 0).all()
+    assert (owner[:, 1] == -1).all()
+    assert owner[:, 2].tolist() == [1] * 4 + [-1] * 5
+    squared, own, strays = tracking_consistency.consistency_of(found, truth)
+    np.testing.assert_array_equal(own, [2, 2, 2, 2, 1, 1, 0, 0, 0])
+    np.testing.assert_array_equal(strays, [1, 1, 1, 1, 2, 2, 2, 3, 3])
+    first = np.where(np.arange(looks) < 6, 1.0, 0.0)
+    np.testing.assert_allclose(squared, first + np.where(np.arange(looks) < 4, 25 / 4, 0.0))
