@@ -6,7 +6,18 @@ import numpy as np
 import pytest
 
 from jaxtrack.types import Scan
-from tests.oracles import joint, lines, neutrosophic, pairs, particle, peaks, rls, standard, votes
+from tests.oracles import (
+    joint,
+    lines,
+    moments,
+    neutrosophic,
+    pairs,
+    particle,
+    peaks,
+    rls,
+    standard,
+    votes,
+)
 
 ORIGIN = (0.0, 0.0)
 SETTINGS = {
@@ -352,3 +363,31 @@ def test_a_particle_filter_by_hand():
     np.testing.assert_allclose(done[0]["log_likelihood"], math.log(0.4))
     assert [one["vanished"] for one in done] == [False, False, True]
     np.testing.assert_allclose(done[2]["weights"], [0.25, 0.75])
+
+
+def test_moments_by_hand():
+    for rho in (0.0, 0.25, 0.8, 1.0):
+        assert moments.radial(3, 1, rho) == pytest.approx(3 * rho**3 - 2 * rho)
+        assert moments.radial(4, -2, rho) == pytest.approx(4 * rho**4 - 3 * rho**2)
+        assert moments.radial(8, 8, rho) == pytest.approx(rho**8)
+    # At (0, 1) of a radius of 2, and none at (3, 0): R_22 = 1/4, exp(−2jπ/2) = −1.
+    points = [(0.0, 1.0), (3.0, 0.0), (math.nan, 0.0)]
+    assert moments.zernike(points, [2.0, 1.0, 1.0], 2, 2, 2.0) == pytest.approx(-0.75 / math.pi)
+    assert moments.zernike(points[1:], [1.0, 1.0], 2, 2, 2.0) == 0.0
+    assert [moments.fade(rho, 0.5) for rho in (0.4, 0.5, 1.0, 1.1)] == [1.0, 1.0, 0.0, 0.0]
+    assert moments.fade(math.sqrt(1 - 0.375), 0.5) == pytest.approx(0.5)
+
+    # Two points of weight 1 at ±1: μ20 = 2, η20 = 1/2, nothing odd.
+    assert moments.hu([(1.0, 0.0), (-1.0, 0.0)], [1.0, 1.0]) == pytest.approx([0.5, 0.25] + [0] * 5)
+    # Weights 2 at 0 and 1 at 3: about x̄ = 1, μ20 = 6 and μ30 = 6, over 3² and 3^2.5.
+    e, a = 6 / 9, 6 / 3**2.5
+    got = moments.hu([(0.0, 0.0), (3.0, 0.0)], [2.0, 1.0])
+    assert got == pytest.approx([e, e**2, a**2, a**2, a**4, e * a**2, 0.0])
+    # Three corners of a triangle: x̄ = (1, 1), μ20 = μ02 = 6, μ11 = −3, μ30 = 6, μ21 = −3.
+    got = moments.hu([(0.0, 0.0), (3.0, 0.0), (0.0, 3.0)], [1.0, 1.0, 1.0])
+    third, q = 3**2.5, 9.0
+    a, c, twist = (6 - 3) / third, (6 + 9) / third, -3 / q
+    expected = [12 / q, 4 * twist**2, 2 * c**2, 2 * a**2]
+    assert got[:4] == pytest.approx(expected)
+    # b = a and d = −c: I5 = c a (−2a²) − c a (2a²), I6 = 4η11 a², I7 = −c a (−2a²) − c a (2a²).
+    assert got[4:] == pytest.approx([-4 * c * a**3, 4 * twist * a**2, 0.0], abs=1e-12)
