@@ -20,7 +20,7 @@ reproduce-full: $(RUN) ## the stated numbers of trials; says beforehand how long
 	$(BIN)/jaxtrack reproduce --full
 
 test: $(DEV) ## everything but the slow tests, on code that is compiled quickly
-	$(QUICKLY) $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow" tests
+	$(QUICKLY) $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow" --durations 60 tests
 	$(QUICKLY) $(CACHED) $(BIN)/python -m pytest -n 2 --dist worksteal --doctest-modules jaxtrack
 
 test-slow: $(DEV) ## all tests, the long ones too (marks on rates, memory), on code as users run it

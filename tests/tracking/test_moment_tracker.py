@@ -110,6 +110,7 @@ def test_the_small_steps_meet_their_oracles():
     assert jnp.isneginf(gone).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("optimised", [False, True])
 @pytest.mark.parametrize(("features", "origin"), SETS)
 def test_it_follows_an_arc(features, origin, optimised):
