@@ -1,8 +1,8 @@
 """Are reported tracks as sure of themselves as they may be? NEES of the tracks that are a target's.
 
-Which track is whose is decided over its whole life: a false track that passes a target is none of
-it, and a track that has lost its target counts, with all that it is off, as long as it was the
-target's most of the time.
+Which track is whose is decided over its whole life, and a target has one at a time: a false track
+that passes a target, or starts beside its track, is none of it; a track that has lost its target
+counts, with all that it is off, as long as it was the target's most of the time.
 """
 
 from typing import NamedTuple
@@ -62,7 +62,7 @@ def owners(found: Found, truth: Truth) -> Array:
     """Return the target of each report's track, [T, M] int; −1: no target's most of its life.
 
     A report is near the closest target within `NEAR_M`, and a track is the target's that more than
-    half of its reports are near.
+    half of its reports are near; of several at a look the one that is near it the most often.
 
     Example:
         >>> truth = Truth(jnp.arange(3.0), jnp.zeros((3, 1, 4)), jnp.ones((3, 1), bool))
@@ -79,12 +79,18 @@ def owners(found: Found, truth: Truth) -> Array:
     closest = every[None, None] == gap.argmin(2)[..., None]
     near = (closest & (gap < NEAR_M**2) & found.mask[..., None]).astype(dtype)
 
-    def slot(of: tuple[Array, Array, Array]) -> Array:
+    def slot(of: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         near, mask, identity = of
         same = (identity[:, None] == identity[None, :]) & mask[:, None] & mask[None, :]
         times = same.astype(dtype) @ near
         whose = times.argmax(1).astype(jnp.int32)
-        return jnp.where(2 * times.max(1) > same.sum(1, dtype=dtype), whose, -1)
+        most = 2 * times.max(1) > same.sum(1, dtype=dtype)
+        return jnp.where(most, whose, -1), times.max(1)
 
     columns = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), (near, found.mask, found.identity))
-    return jax.lax.map(slot, columns).T
+    owner, times = (x.T for x in jax.lax.map(slot, columns))
+    slots = jnp.arange(owner.shape[1])
+    rival = (owner[:, :, None] == owner[:, None, :]) & found.mask[:, None, :]
+    more, equal = (f(times[:, None, :], times[:, :, None]) for f in (jnp.greater, jnp.equal))
+    ahead = more | (equal & (slots[None, None, :] < slots[None, :, None]))
+    return jnp.where((rival & ahead).any(2), -1, owner)

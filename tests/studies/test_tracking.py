@@ -121,23 +121,26 @@ def test_a_track_is_the_targets_that_it_is_near_most_of_its_life():
     state[:, 1, 0] = 500.0
     there = np.ones((looks, 2), bool)
     there[7:, 0] = False  # the first target goes
-    mean = np.zeros((looks, 3, 4))
+    mean = np.zeros((looks, 4, 4))
     mean[:, 0, 1] = 2.0  # the first target's track, which outlives it
     mean[:, 1, 0] = np.where(np.arange(looks) < 3, 5.0, 90.0)  # passes it, and is false
     mean[:, 2, 0] = np.where(np.arange(looks) < 4, 505.0, 900.0)  # two lives in a slot
-    identity = np.tile([4, 5, 6], (looks, 1))
+    mean[:, 3] = 3.0  # a short life beside the first one's
+    identity = np.tile([4, 5, 6, 8], (looks, 1))
     identity[4:, 2] = 7
-    mask = np.ones((looks, 3), bool)
+    mask = np.ones((looks, 4), bool)
     mask[6, 0] = False
-    covariance = np.broadcast_to(4.0 * np.eye(4), (looks, 3, 4, 4))
+    mask[:, 3] = (np.arange(looks) == 1) | (np.arange(looks) == 2)
+    covariance = np.broadcast_to(4.0 * np.eye(4), (looks, 4, 4, 4))
     found = tracking_consistency.Found(mean, covariance, mask, identity)
     truth = Truth(np.arange(looks), state, there)  # pyright: ignore
     owner = np.asarray(tracking_consistency.owners(found, truth))
     assert (owner[mask[:, 0], 0] == 0).all()
     assert (owner[:, 1] == -1).all()
     assert owner[:, 2].tolist() == [1] * 4 + [-1] * 5
+    assert (owner[mask[:, 3], 3] == -1).all()
     squared, own, strays = tracking_consistency.consistency_of(found, truth)
     np.testing.assert_array_equal(own, [2, 2, 2, 2, 1, 1, 0, 0, 0])
-    np.testing.assert_array_equal(strays, [1, 1, 1, 1, 2, 2, 2, 3, 3])
+    np.testing.assert_array_equal(strays, [1, 2, 2, 1, 2, 2, 2, 3, 3])
     first = np.where(np.arange(looks) < 6, 1.0, 0.0)
     np.testing.assert_allclose(squared, first + np.where(np.arange(looks) < 4, 25 / 4, 0.0))
