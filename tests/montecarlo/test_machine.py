@@ -122,6 +122,7 @@ def test_the_advised_number_of_threads_prevents_stalls():
     assert run_fresh(LINEAR_ALGEBRA, 2, NPROC="13") == ["(2000,)"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak is read from /proc")
 def test_memory_of_100_000_trials_is_bounded():
     """All trials at once would need 6.5 GB: each holds a path of 64 kB."""

@@ -140,6 +140,7 @@ def by_place(tracks):
     return jax.tree.map(lambda x: x[order], kept)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["extended", "interacting"])
 def test_order_padding_and_what_is_no_look_change_nothing(name):
     scans = scene(2, polar=name in POLAR)
