@@ -12,6 +12,7 @@ import math
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxtrack.moments.totals import totals
 from jaxtrack.moments.window import inside, soft_inside
@@ -181,7 +182,8 @@ def _recurrent(x: Array, y: Array, w: Array, orders: Orders) -> tuple[Array, Arr
 
     nothing = jnp.zeros((half, *z.shape), z.dtype)
     _, table = jax.lax.scan(two_orders, (nothing, nothing.at[0].set(1.0)), length=half)
-    moments = jnp.stack([table[n // 2, n % 2, abs(m) // 2] for n, m in orders])
+    n, m = np.abs(orders).T
+    moments = table[n // 2, n % 2, m // 2]
     return w.sum(), moments.real, moments.imag
 
 
