@@ -51,7 +51,7 @@ SETTINGS = {"sigma": SIGMA, "sigma_a": SIGMA_A, "p_detect": P_DETECT, "gate": GA
 
 TARGETS, CLUTTER, SCANS, RUNS, SLOTS, PLACES = 5, 10.0, 30, 1000, 48, 32
 FIELD_M, SPEED_M_S, BIRTH_M_S, CUTOFF_M = 400.0, 3.0, 3.0, 20.0
-TOGETHER = 4  # runs under one vmap: more leave the cache
+TOGETHER = 8  # runs under one vmap: more leave the cache
 RADAR = Radar(P_DETECT, SIGMA, CLUTTER, (0.0, 0.0), (FIELD_M, FIELD_M))
 
 

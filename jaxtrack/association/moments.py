@@ -1,7 +1,8 @@
 """A Kalman state updated from an association: one detection at most, or the centroid of several.
 
 The measurement is the first two entries of the state, H = [I 0]. Covariances are sums of positive
-semidefinite terms (Joseph's form), so that they stay so in single precision.
+semidefinite terms (Joseph's form), so that they stay so in single precision. They are symmetric up
+to rounding: the prediction makes them so again, where it costs the least.
 """
 
 from typing import NamedTuple
@@ -258,7 +259,6 @@ def _move(mean: Array, covariance: Array, there: Array, step: _Step) -> tuple[Ar
     wxx, wxy, wyy = (one[:, None] for one in step.middle)
     through = _outer(bx * wxx + by * wxy, bx) + _outer(bx * wxy + by * wyy, by)
     after = step.miss[:, None, None] * p + step.total[:, None, None] * both + through
-    after = (after + jnp.swapaxes(after, 1, 2)) / 2
     moved = before + step.moved[0][:, None] * bx + step.moved[1][:, None] * by
     return jnp.where(there[:, None], moved, mean), jnp.where(
         there[:, None, None], after, covariance
