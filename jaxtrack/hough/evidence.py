@@ -76,7 +76,10 @@ def evidence(
         weight = jax.nn.softmax(value)
         state = weight @ states
         apart = states - state[None]
-        covariance = (weight[:, None] * apart).T @ apart
+        # Without bias also where few samples have the weight: about their own mean they look close.
+        few = 1 - (weight**2).sum()
+        few = jnp.where(few > 1 / samples, few, 1 / samples)
+        covariance = (weight[:, None] * apart).T @ apart / few
         # No narrower than a few samples can tell.
         information, _ = scaled_inverse(covariance + jnp.diag(jnp.diagonal(covariance)) * 0.05)
     at_mean = trajectory_score(state, scans, sensor, observation=observation)
