@@ -15,6 +15,7 @@ from jaxtrack.hough import Grid, Peaks, Sizes, improved, joint, modified, neutro
 from jaxtrack.models import PositionSensor
 from jaxtrack.sensors import Radar, observe
 from jaxtrack.studies.nht_words import target_votes
+from jaxtrack.studies.tables import SMOKE_BELOW
 from jaxtrack.types import Array, Key, Lines, Scan, Truth
 
 LINES = 8  # that every method may report
@@ -62,6 +63,18 @@ SHAPES = {
     "56": Shape(96, 7168, 1536, 48, 32768),
     "real": Shape(32, 1024, 192, 24, 4096, rho=6800, forms=PEAKS[:1]),
 }
+
+
+def shapes_for(trials: int) -> dict[str, Shape]:
+    """Return the shape of each table; a smoke run, mostly compiling, has one program for all.
+
+    Example:
+        >>> len(set(shapes_for(20).values())), len(set(shapes_for(2).values()))
+        (3, 1)
+    """
+    if trials >= SMOKE_BELOW:
+        return SHAPES
+    return dict.fromkeys(SHAPES, SHAPES["56"]._replace(rho=SHAPES["real"].rho))
 
 
 class Inputs(NamedTuple):

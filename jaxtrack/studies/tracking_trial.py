@@ -50,7 +50,7 @@ WINDOW = 20
 TRACKERS = ("hough joint", "hough CSHT", "kalman paper", "kalman JPDA")
 FLOOR = "delay floor"  # told which detection is whose, once the evidence is there
 TRUTHS = ("visible", "table")
-KEEP, CONFIRM = 6.0, 12.0  # nats of evidence that keep a track alive, and that confirm it
+KEEP, CONFIRM = 7.0, 13.0  # nats of evidence that keep a track alive, and that confirm it
 
 _PAIRS = {"per_beam": 32768, "per_scan": 8192}
 _SLOTS = 12
@@ -173,7 +173,7 @@ def _tracker(
         )
         tracker = hough_tracker(
             lambda looks: joint.estimate(looks, params, sizes=sizes, observation=BEAMS),
-            HoughTrackerParams(lifecycle=LifecycleParams(1, CONFIRM, 3)),
+            HoughTrackerParams(lifecycle=LifecycleParams(1, CONFIRM, 8)),
             like=first(scans),
             window=WINDOW,
             max_tracks=_SLOTS,

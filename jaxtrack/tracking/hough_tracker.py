@@ -40,7 +40,7 @@ class HoughTrackerParams(NamedTuple):
     # Squared distance in [x, y, vx, vy]. Wide, as the vote over few looks may leap from one maximum
     # to another, and what lies out of the gate starts a second track of the same target.
     gate: Array | float = 160.0
-    lifecycle: LifecycleParams = LifecycleParams(confirm_hits=1, delete_misses=3)
+    lifecycle: LifecycleParams = LifecycleParams(confirm_hits=1, delete_misses=8)
 
 
 class Past(NamedTuple):

@@ -197,7 +197,7 @@ def _joint(
     voted = joint.JointParams(told.sensor, told.speed, keep)
     return hough_tracker(
         lambda looks: joint.estimate(looks, voted, sizes=sizes, observation=observation),
-        HoughTrackerParams(told.sigma_a_m_s2, lifecycle=LifecycleParams(1, told.score, 3)),
+        HoughTrackerParams(told.sigma_a_m_s2, lifecycle=LifecycleParams(1, told.score, 8)),
         like=jax.tree.map(lambda x: x[0], looks),
         window=window,
         max_tracks=max_tracks,
