@@ -3,8 +3,8 @@
 `kalman`, `extended` and `unscented` are filters, each as two steps on arrays and as an estimator;
 `interacting` runs several motions beside each other, `smoother` looks back over any of the first
 three, and `gaussian` is what they share. `particle` takes any motion and any likelihood, as
-functions; `resampling` and `transport` have the ways to resample, all with one signature.
-`rls` smooths initialised tracks.
+functions, in `particle_filter`; `resampling` and `transport` have the ways to resample, all with
+one signature. `rls` smooths initialised tracks.
 """
 
 from jaxtrack.filtering import (
@@ -20,6 +20,7 @@ from jaxtrack.filtering import (
     transport,
     unscented,
 )
+from jaxtrack.filtering.particle import particle_filter
 
 __all__ = [
     "extended",
@@ -27,6 +28,7 @@ __all__ = [
     "interacting",
     "kalman",
     "particle",
+    "particle_filter",
     "polar",
     "resampling",
     "rls",

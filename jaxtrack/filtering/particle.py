@@ -7,7 +7,7 @@ Where 1/Σ w² falls below a share of N, the particles are resampled. `weigh`, `
 """  # noqa: E501
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol
 
 import jax
@@ -153,9 +153,10 @@ def particle_filter(
 ) -> Estimator[Any, ParticleState, ParticleInfo]:
     """Return the particle filter.
 
-    Observations are any tree of arrays. Where they have a field `valid` and it is False, there is
-    no look and nothing changes, the key included; what stands in it may be anything. (Transition
-    and likelihood are then evaluated on zeros, and forgotten.)
+    Observations are any tree of arrays. Where they have a field, or a mapping's key, `valid` and it
+    is False, there is no look and nothing changes, the key included; what stands in it may be
+    anything. Transition and likelihood are then evaluated on zeros, and forgotten: where gradients
+    are wanted, these have to be finite there too.
 
     Args:
         transition: draws particles at the time of an observation.
@@ -211,7 +212,9 @@ def particle_filter(
         return ParticleState(key, drawn, equal, jnp.zeros((), drawn.dtype))
 
     def step(state: ParticleState, observation: Any) -> tuple[ParticleState, ParticleInfo]:
-        valid = jnp.asarray(getattr(observation, "valid", True))
+        named = isinstance(observation, Mapping)
+        told = observation.get("valid", True) if named else getattr(observation, "valid", True)
+        valid = jnp.asarray(told)
         # What is behind an invalid look may be NaN, which a gradient would carry past the choice.
         observation = jax.tree.map(lambda x: jnp.where(valid, x, jnp.zeros_like(x)), observation)
         key, move, draw = jax.random.split(state.key, 3)

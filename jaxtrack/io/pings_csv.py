@@ -37,6 +37,7 @@ from jaxtrack.io.recording import Recording, frame_of, looks_of_rows
 from jaxtrack.numerics.checks import check_known, check_size
 from jaxtrack.types import Pings, Pose
 
+_JITTER, _LEAP = 0.1, 10.0  # of the usual step
 _OF_PING = ("bearing_deg", "heading_deg", "x_m", "y_m")
 _COLUMNS = ("time_s", "bearing_deg", "range_m", "intensity", "heading_deg", "x_m", "y_m")
 
@@ -53,7 +54,7 @@ def read_pings(
 
     Separated by commas, semicolons or tabs (the header decides), decimal points, UTF-8 with or
     without a byte-order mark, any line ends. A new sweep begins where the beam turns back, stands
-    still or leaps back.
+    still, leaps by over ten of its usual steps, or has turned once around.
 
     Args:
         path: the file.
@@ -96,6 +97,13 @@ def read_pings(
         one_a_look(table, name, ping, first, want="one value a ping") for name in _OF_PING
     )
 
+    def where_ping(row: int, column: str) -> str:
+        return where(int(first[row]), column)
+
+    angles = {"bearing_deg": bearing_deg, "heading_deg": heading_deg}
+    for name, angle in angles.items():
+        want = "degrees from -360 to 360"
+        check_numbers(angle, name, where_ping, low=-360.0, high=360.0, want=want)
     shown = every[filled(table, "range_m", "intensity")]
 
     def where_shown(row: int, column: str) -> str:
@@ -130,15 +138,24 @@ def read_pings(
 
 
 def _rows_of_sweeps(bearing_deg: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return which ping stands in each place of the sweeps, and which places hold one, [T, Q]."""
-    starts, way = [0], 0.0
-    for row in range(1, len(bearing_deg)):
-        turn = np.sign(bearing_deg[row] - bearing_deg[row - 1])
-        if turn == 0 or (way != 0 and turn != way):
+    """Return which ping stands in each place of the sweeps, and which places hold one, [T, Q].
+
+    Bearings count modulo a turn. A tenth of the usual step is jitter, and turns nothing.
+    """
+    turns = (np.diff(bearing_deg) + 180.0) % 360.0 - 180.0
+    moving = np.abs(turns[turns != 0])
+    step = float(np.median(moving)) if len(moving) else 0.0
+    starts, way, turned = [0], 0.0, 0.0
+    for row, turn in enumerate(turns, start=1):
+        if turn != 0 and abs(turn) < _JITTER * step:
+            continue
+        leaps = turn == 0 or abs(turn) > _LEAP * step
+        turned += turn
+        if leaps or (way != 0 and np.sign(turn) != way) or abs(turned) > 360.0 - step / 2:
             starts.append(row)
-            way = 0.0
+            way, turned = 0.0, 0.0
         else:
-            way = turn
+            way = np.sign(turn)
     ends = np.array([*starts[1:], len(bearing_deg)])
     place = np.array(starts)[:, None] + np.arange((ends - starts).max())
     return np.minimum(place, ends[:, None] - 1), place < ends[:, None]

@@ -218,14 +218,17 @@ def check_orders(orders: Orders) -> Orders:
 
     Raises:
         ValueError: none, or an n and m that there is no polynomial of, or above 40.
-        TypeError: not ints.
+        TypeError: not pairs of ints.
 
     Example:
         >>> check_orders(((3, 1), (4, -2)))
         ((3, 1), (4, -2))
     """
     check_size("number of orders", len(orders))
-    for place, (n, m) in enumerate(orders):
+    for place, pair in enumerate(orders):
+        if not isinstance(pair, (tuple, list)) or len(pair) != 2:
+            raise TypeError(f"orders[{place}]: got {pair!r}, want a pair (n, m)")
+        n, m = pair
         check_size(f"orders[{place}], n", n, at_least=0)
         check_size(f"orders[{place}], m", m, at_least=-HIGHEST)
         if n > HIGHEST or abs(m) > n or (n - m) % 2:

@@ -88,7 +88,7 @@ def run(context: Context) -> None:
         say(table)
     full = scores.overflow.mean().item(), scores.crowded.mean().item()
     say(f"Runs with more points than places: {full[0]:.3f} around particles, {full[1]:.3f} in all")
-    rows = moment_report.marks(scores)
+    rows = moment_report.marks(scores, found.get("sweeps"))
     say(marks_table("Marks, fixed beforehand", rows))
     summary = {
         "study": STUDY.name,
@@ -96,6 +96,10 @@ def run(context: Context) -> None:
         "seed": context.seed,
         "trials": context.trials,
         "marks": [entry(row) for row in rows],
+        "claims": {
+            claim: {cell: word for cell, (word, _) in verdicts.items()}
+            for claim, verdicts in moment_report.claims(scores).items()
+        },
     }
     store.save(context.out, found, summary)
     shown = jax.jit(_shown)

@@ -81,6 +81,9 @@ def moment_template(
 ) -> Array:
     """Return the template, [7]: the mean of a target's features in some frames.
 
+    Frames that are not valid, or show fewer than three points about the target, do not count. Where
+    none is left the template is zero, and what is tracked by it is lost from the first look on.
+
     Args:
         clouds: the first frames, stacked; the paper takes three.
         places_m: [T, 2] of the target in each, say the centroid of its points.
@@ -102,11 +105,14 @@ def moment_template(
     check_array("places_m", places_m, shape=(clouds.mask.shape[0], 2))
     places = clouds.mask.shape[1]
 
-    def one(cloud: Scan, place_m: Array) -> Array:
+    def one(cloud: Scan, place_m: Array) -> tuple[Array, Array]:
         windows = _windows(cloud, place_m[None], params, places)
-        return _features(windows, params, features, origin)[0][0]
+        found, enough = _features(windows, params, features, origin)
+        return found[0], enough[0] & cloud.valid
 
-    return jax.vmap(one)(clouds, places_m).mean(0)
+    found, counts = jax.vmap(one)(clouds, places_m)
+    number = counts.sum(dtype=found.dtype)
+    return jnp.where(counts[:, None], found, 0.0).sum(0) / jnp.where(number > 0, number, 1.0)
 
 
 def moment_tracker(
@@ -129,7 +135,8 @@ def moment_tracker(
         places_m: [2, 2] of the target in the last two frames, the older first.
         params: radius, steps and weights.
         features: one of `FEATURES`: the paper's Zernike moments, a set of low orders, or Hu's.
-        origin: of the moments, `"particle"` or the `"centroid"` of its points. Static.
+        origin: of the moments, `"particle"` or the `"centroid"` of its points; Hu's are about the
+            centroid either way. Static.
         optimised: [] the paper's optimised transition; False: steps have no direction.
         particles: N. Static.
         most: places for points around the particles, which `overflow` says are too few. Static.
@@ -163,7 +170,7 @@ def moment_tracker(
         It says that moments are taken about the region's centre, and that windows are about the
         particles: `origin` has both. The weighted mean is not divided by N (equation 31).
     """
-    check_array("template", template, shape=("F",))
+    check_array("template", template, shape=(7,))
     check_array("places_m", places_m, shape=(2, 2))
     check_choice("features", features, FEATURES)
     check_choice("origin", origin, ORIGINS)
@@ -172,6 +179,8 @@ def moment_tracker(
     for name, value in params._asdict().items():
         check_array(f"params.{name}", value, shape=())
         check_known(f"params.{name}", value, lambda x: (x >= 0) & np.isfinite(x), "0 or more")
+    check_known("params.radius_m", params.radius_m, lambda x: x > 0, "a positive number")
+    check_known("places_m", places_m, np.isfinite, "finite places")
     dtype = jnp.result_type(template, float)
     template, places_m = jnp.asarray(template, dtype), jnp.asarray(places_m, dtype)
     params = MomentParams(*(jnp.asarray(x, dtype) for x in params))
@@ -200,6 +209,7 @@ def moment_tracker(
             places = places + jnp.where(turn, turned, step)
             windows = _windows(observation, places, params, most)
             found, enough = _features(windows, params, features, origin)
+            enough = enough & (template != 0).any()
             angle = jax.vmap(similarity_angle, (0, None))(found, template)
             angle = jnp.where(enough, angle, math.pi)
             crowded = jnp.broadcast_to(windows.overflow, angle.shape).astype(dtype)

@@ -56,7 +56,8 @@ class ShapeTrackerInfo(NamedTuple):
     velocity_m_s: Array  # [2]
     particles: Array  # [N, 4] x, y, vx, vy
     weight: Array  # [N]
-    log_likelihood: Array  # [] of the cloud; near log floor where nothing like the target is seen
+    log_likelihood: Array  # [] of the cloud
+    lost: Array  # [] no particle's window fits the template better than the floor does
     overflow: Array  # [] more points lay around the particles than there are places
 
 
@@ -66,6 +67,8 @@ def shape_template(
     params: ShapeParams = ShapeParams(),  # noqa: B008 - an immutable tuple
 ) -> ShapeTemplate:
     """Return the template: means of moments and of log masses over some frames, and the motion.
+
+    Where these hold nothing about the places, nothing is ever like it, and the target is lost.
 
     Args:
         clouds: the first frames, two or more, stacked; all valid.
@@ -198,6 +201,7 @@ def shape_tracker(
             info.particles[:, :4],
             jnp.exp(info.log_weight),
             info.log_likelihood,
+            cloud.valid & (info.particles[:, 4] < jnp.log(2 * params.floor)).all(),
             (info.particles[0, 5] > 0) & cloud.valid,
         )
         return ShapeTrackerState(after, jnp.where(cloud.valid, cloud.time_s, state.time_s)), shown
@@ -253,7 +257,7 @@ def shape_log_likelihood(
     """  # noqa: E501
     off = moments - template.moments[None]
     apart = (off.real**2 + off.imag**2).sum(1)
-    there = mass > 0
+    there = (mass > 0) & (template.mass > jnp.finfo(mass.dtype).tiny)
     light = jnp.log(jnp.where(there, mass, 1.0) / template.mass)
     fits = -apart / (2 * params.sigma**2) - light**2 / (2 * params.mass_sigma**2)
     fits = jnp.where(there, jnp.log1p(-params.floor) + fits, -jnp.inf)

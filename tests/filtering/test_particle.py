@@ -142,6 +142,17 @@ def test_an_invalid_look_changes_nothing():
     np.testing.assert_allclose(state.log_likelihood, left.log_likelihood, rtol=1e-12)
 
 
+def test_a_mapping_says_by_its_key_that_there_was_no_look():
+    drift = lambda key, x, z: x + jax.random.normal(key, x.shape)
+    near = lambda x, z: -((x[:, 0] - z["z"]) ** 2) / 2
+    initial = lambda key, size: jax.random.normal(key, (size, 1))
+    estimator = particle_filter(drift, near, particles=8, initial=initial)
+    state = estimator.init(jax.random.key(0))
+    after, info = estimator.step(state, {"z": jnp.nan, "valid": False})
+    np.testing.assert_array_equal(after.particles, state.particles)
+    assert not info.vanished
+
+
 def test_where_all_weights_vanish_the_old_ones_are_kept():
     seen, dicts = observations(2)
     place = seen.place.copy()

@@ -55,7 +55,11 @@ def test_rows_become_bins_and_empty_rows_pings(tmp_path):
         ([0, 1, 2, 1, 0, 1], [3, 2, 1]),  # to and fro
         ([0, 1, 2, 2, 1, 0, 0, 1, 2], [3, 3, 3]),  # with a ping twice at the ends
         ([0, 1, 2, 0, 1, 2, 0], [3, 3, 1]),  # always to starboard
-        ([358, 359, 0, 1], [2, 2]),
+        ([358, 359, 0, 1, 0, 359], [4, 2]),  # through ahead
+        ([178, 179, -180, -179], [4]),  # through astern
+        ([*range(0, 360, 90), *range(0, 180, 90)], [4, 2]),  # around and on
+        ([0, 1, 2, 40, 41, 42], [3, 3]),  # leaps on
+        ([0, 1, 1.98, 1.95, 3], [5]),  # trembles
         ([5], [1]),
     ],
 )
@@ -122,6 +126,10 @@ def test_a_simulated_run_comes_back(tmp_path):
          "row 3, column range_m: got 1.5 twice at the same time, want at most one intensity a bin"),
         (["10,0,1,1,0,0,0", "9,0,1,1,0,0,0"],
          "row 3, column time_s: got 9 after 10, want values that do not run back"),
+        (["10,6390,1,1,0,0,0"],
+         "row 2, column bearing_deg: got 6390, want degrees from -360 to 360"),
+        (["10,0,1,1,1e9,0,0"],
+         "row 2, column heading_deg: got 1000000000, want degrees from -360 to 360"),
         (["10,north,1,1,0,0,0"], "row 2, column bearing_deg: got 'north', want a number"),
     ],
 )  # fmt: skip

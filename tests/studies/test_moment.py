@@ -99,8 +99,32 @@ def test_tables_say_what_holds():
     *_, claims = moment_report.tables(scores, scores)
     first = [column._cells[0] for column in claims.columns][1:]
     assert all(cell.startswith("holds") for cell in first)
-    hu = [column._cells[5] for column in claims.columns][1:]
+    rows = list(moment_report.claims(scores))
+    place = rows.index("Hu without it soon fails to track")
+    hu = [column._cells[place] for column in claims.columns][1:]
     assert all(cell.startswith("contrary") for cell in hu)
+
+
+def test_a_step_that_runs_ahead_of_the_side_is_no_help_from_there():
+    scores = made_up(sizes={"zernike": 0.0})  # on the side, and short of the middle
+    both = np.asarray(scores.error_m)
+    place = METHODS.index("zernike")
+    both[:, :, place] = np.array([SIDE_M, 0.0])
+    scores["side_error_m"] = scores.error_m - np.array([SIDE_M, 0.0])
+    found = moment_report.claims(scores)
+    cell = "following, clean"
+    assert found["the optimised transition lowers S of Zernike"][cell][0] == "holds"
+    assert found["… of Zernike from the side"][cell][0] == "contrary"
+
+
+def test_sweeps_are_judged_like_the_scenes_they_vary():
+    scores, sweeps = made_up(lost=HELPS), made_up(sizes={"shape": 0.3})
+    sweeps = sweeps.assign_coords(cell=["step 0.3 m", *(f"objects at {k} m" for k in range(5))])
+    found = {row.what: row for row in moment_report.marks(scores, sweeps)}
+    assert found["step 0.3 m: shape, lost"].mark.bound == 0.02
+    assert found["objects at 1 m: shape, lost"].mark.bound == 0.05
+    row = found["step 0.3 m: shape, median S"]
+    assert tables.verdict(row.ours, row.mark) == "fails"
 
 
 def test_every_cell_is_of_one_structure():

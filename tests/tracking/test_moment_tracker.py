@@ -135,6 +135,40 @@ def test_lost_targets_are_flagged_and_found_again():
     assert jnp.median(error) < 0.5
 
 
+def test_frames_that_show_too_little_are_left_out_of_the_template():
+    scans, places = clouds(2)
+    first = jax.tree.map(lambda x: x[:3], scans)
+    two = jax.tree.map(lambda x: x[:2], scans)
+    want = moment_template(two, places[:2])
+    for mask, valid in (
+        (first.mask & (np.arange(3) < 2)[:, None], first.valid),
+        (first.mask, np.arange(3) < 2),
+        (first.mask & ((np.arange(3) < 2)[:, None] | (np.arange(P) < 2)), first.valid),
+    ):
+        got = moment_template(first._replace(mask=mask, valid=valid), places[:3])
+        np.testing.assert_allclose(got, want, rtol=1e-12)
+
+
+def test_without_a_template_the_target_is_lost_from_the_first_look():
+    scans, places = clouds(2)
+    scans = scans._replace(mask=scans.mask & (np.arange(T) > 2)[:, None])
+    template, _, info = run(jax.random.key(0), scans, places)
+    assert not template.any()
+    assert info.lost.all()
+    assert jnp.isfinite(info.position_m).all()
+
+
+def test_what_cannot_be_is_refused():
+    good = jnp.zeros((2, 2))
+    for arguments, word in (
+        ((jnp.zeros(5), good), "template: got shape"),
+        ((jnp.zeros(7), good, MomentParams(radius_m=0.0)), "params.radius_m"),
+        ((jnp.zeros(7), jnp.full((2, 2), jnp.nan)), "places_m"),
+    ):
+        with pytest.raises(ValueError, match=word):
+            moment_tracker(*arguments)
+
+
 def test_padding_and_order_of_points_change_nothing():
     scans, places = clouds(3)
     _, _, want = run(jax.random.key(0), scans, places)
@@ -154,7 +188,7 @@ def test_padding_and_order_of_points_change_nothing():
 
 def test_no_look_changes_nothing():
     scans, places = clouds(4)
-    holes = scans._replace(valid=np.arange(T) % 2 == 0)
+    holes = scans._replace(valid=(np.arange(T) < 3) | (np.arange(T) % 2 == 0))
     _, _, info = run(jax.random.key(0), holes, places)
     there = np.flatnonzero(holes.valid[3:])
     for k in range(1, T - 3):

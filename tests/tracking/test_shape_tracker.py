@@ -119,7 +119,17 @@ def test_a_target_out_of_sight_for_a_while_is_found_again():
     floor = np.log(ShapeParams().floor)
     np.testing.assert_allclose(info.log_likelihood[:, 7:27], floor, atol=1e-9)
     assert (info.log_likelihood[:, :7] > floor + 1).mean() > 0.9
+    assert info.lost[:, 7:27].all()
+    assert not info.lost[:, :7].all(1).any()
     assert np.median(errors(info, places)[:, -1]) < 0.5
+
+
+def test_without_a_template_the_target_is_lost_from_the_first_look():
+    scans, places = clouds(3)
+    scans = scans._replace(mask=scans.mask & (np.arange(T) > 2)[:, None])
+    _, _, info = run(jax.random.key(0), scans, places)
+    assert info.lost.all()
+    assert jnp.isfinite(info.position_m).all()
 
 
 def test_padding_and_order_of_points_change_nothing():
