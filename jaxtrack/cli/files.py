@@ -195,7 +195,7 @@ def track(
     beams: int | None = None,
     sector_deg: float = 90.0,
     range_max_m: float = 150.0,
-    max_tracks: int = 10,
+    max_tracks: int | None = None,
     seed: int = 0,
 ) -> int:
     """Follow targets through a file of looks: tracks that start, go on and end.
@@ -219,7 +219,8 @@ def track(
         beams: the file is that of a multi-beam sonar of so many beams.
         sector_deg: of all its beams together, degrees.
         range_max_m: its scope, m.
-        max_tracks: most tracks at a time, tentative ones included; jpda takes 10.
+        max_tracks: most tracks at a time, tentative ones included. None: 10 for joint and for jpda,
+            which takes no more, and 32 for the others.
         seed: of the associations that draw.
     """
     from rich.console import Console

@@ -52,6 +52,13 @@ def read_looks(
         raise ValueError(f"--p-detect: got {p_detect:g}, want a probability between 0 and 1")
     recording = read_beams(file, beams=beams)
     shown = np.asarray(recording.scans.mask)[np.asarray(recording.scans.valid)]
+    range_m = np.asarray(recording.scans.range_m)[np.asarray(recording.scans.mask)]
+    if (range_m > range_max_m).any():
+        raise ValueError(
+            f"--range-max-m: got {range_max_m:g}, want the sonar's scope; {file} has "
+            f"{(range_m > range_max_m).sum()} of {range_m.size} ranges beyond it, up to "
+            f"{range_m.max():g} m"
+        )
     p_false = float(np.clip(shown.mean() if shown.size else 0.0, 1e-4, 0.95))
     return recording, BeamSonar(
         1 - p_detect, p_false, sigma_m, range_max_m, math.radians(sector_deg)

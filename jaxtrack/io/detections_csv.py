@@ -41,6 +41,7 @@ from jaxtrack.io.errors import (
     DataError,
     Where,
     check_covariances,
+    check_degrees,
     check_numbers,
     check_sigmas,
     check_weights,
@@ -189,6 +190,8 @@ def _from_polar(
     range_m = given["range_m"]
     check_numbers(range_m, "range_m", where, low=np.finfo(np.float64).tiny, want=want)
     nothing = np.zeros_like(range_m)
+    for name in ("bearing_deg", "own_heading_deg"):
+        check_degrees(given.get(name, nothing), name, where)
     bearing_rad = np.deg2rad(given["bearing_deg"])
     heading_rad = np.deg2rad(given.get("own_heading_deg", nothing))
     own_m = np.stack([given.get(name, nothing) for name in _OWN_POSITION], axis=-1)

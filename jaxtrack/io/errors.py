@@ -75,6 +75,19 @@ def check_sigmas(values: np.ndarray, column: str, where: Where) -> None:
     check_numbers(values, column, where, low=SMALLEST_SIGMA, want=want)
 
 
+def check_degrees(values: np.ndarray, column: str, where: Where) -> None:
+    """Check angles [R] in degrees: no more than a turn either way, which finds other units.
+
+    Raises:
+        DataError: the first row that fails.
+
+    Example:
+        >>> check_degrees(np.array([359.0]), "bearing_deg", lambda row, column: column)
+    """
+    want = "degrees from -360 to 360"
+    check_numbers(values, column, where, low=-360.0, high=360.0, want=want)
+
+
 def check_weights(values: np.ndarray, column: str, where: Where) -> None:
     """Check weights [R]: in [0, 1].
 

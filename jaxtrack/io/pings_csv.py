@@ -32,7 +32,7 @@ from jaxtrack.io.csv_table import (
     read_table,
     where_in,
 )
-from jaxtrack.io.errors import check_numbers
+from jaxtrack.io.errors import check_degrees, check_numbers
 from jaxtrack.io.recording import Recording, frame_of, looks_of_rows
 from jaxtrack.numerics.checks import check_known, check_size
 from jaxtrack.types import Pings, Pose
@@ -102,8 +102,7 @@ def read_pings(
 
     angles = {"bearing_deg": bearing_deg, "heading_deg": heading_deg}
     for name, angle in angles.items():
-        want = "degrees from -360 to 360"
-        check_numbers(angle, name, where_ping, low=-360.0, high=360.0, want=want)
+        check_degrees(angle, name, where_ping)
     shown = every[filled(table, "range_m", "intensity")]
 
     def where_shown(row: int, column: str) -> str:

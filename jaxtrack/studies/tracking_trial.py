@@ -47,13 +47,15 @@ from jaxtrack.tracking.sight import on_board, sight_of
 from jaxtrack.types import Array, BeamScan, Estimator, Key, Stage, Tracks, Truth
 
 WINDOW = 20
-TRACKERS = ("hough joint", "hough CSHT", "kalman paper", "kalman JPDA")
+TRACKERS = ("hough joint", "hough CSHT", "kalman paper", "kalman LBP")
 FLOOR = "delay floor"  # told which detection is whose, once the evidence is there
 TRUTHS = ("visible", "table")
+TO_THE_LETTER = "kalman paper, X₀ = 0"  # beside them, in one cell
 KEEP, CONFIRM = 7.0, 13.0  # nats of evidence that keep a track alive, and that confirm it
 
 _PAIRS = {"per_beam": 32768, "per_scan": 8192}
 _SLOTS = 12
+_SETTLED_S = 10.0
 _KALMAN_SLOTS = 96  # clutter fills many
 
 
@@ -79,6 +81,7 @@ class Outcome(NamedTuple):
     consistency: dict[str, Consistency]  # by tracker
     overflow: Array  # [T] tables of the joint vote were too small
     full: dict[str, Array]  # [T] by tracker: its table turned somebody away
+    quiet: Array  # [T] no birth or death in the last ten seconds
 
 
 class Crowded(NamedTuple):
@@ -109,12 +112,12 @@ def trial(false_alarms: str, *, targets: int = 6) -> Callable[[Key, Inputs], Out
         found[FLOOR] = _floor(scans, origin, visible, scene.sonar, false_alarms)
         truths = {"visible": visible, "table": scene.truth}
         scores = {
-            which: {name: _scores(tracks, truth) for name, tracks in found.items()}
+            which: {name: scores_of(tracks, truth) for name, tracks in found.items()}
             for which, truth in truths.items()
         }
         agreed = {name: consistency_of(tracks, visible) for name, tracks in found.items()}
         full[FLOOR] = jnp.zeros_like(overflow)
-        return Outcome(scores, agreed, overflow, full)
+        return Outcome(scores, agreed, overflow, full, quiet_looks(visible))
 
     return run
 
@@ -138,6 +141,19 @@ def generated_trial(key: Key, inputs: BeamSonar) -> Outcome:
     there = scene.truth.mask & (step >= born[None]) & (step < gone[None])
     truth = in_sight(scene.truth._replace(mask=there), scene.pose, inputs)
     return trial("per_beam", targets=9)(look, Inputs(scene._replace(truth=truth), truth))
+
+
+def quiet_looks(truth: Truth) -> Array:
+    """Return which looks have no birth or death in the last ten seconds, [T].
+
+    Args:
+        truth: T looks; what is there at the first is born then.
+    """
+    before = jnp.concatenate([jnp.zeros_like(truth.mask[:1]), truth.mask[:-1]])
+    changed = (truth.mask != before).any(1)
+    ago_s = truth.time_s[:, None] - truth.time_s[None, :]
+    recent = (ago_s >= 0) & (ago_s < _SETTLED_S)
+    return ~(recent & changed[None, :]).any(1)
 
 
 def track(
@@ -196,14 +212,18 @@ def _tracker(
     scope, sector = (jnp.asarray(x, dtype) for x in (sonar.range_max_m, sonar.sector_rad))
     alarms = jnp.asarray(sonar.p_false, dtype) * (BEAM_COUNT if false_alarms == "per_beam" else 1)
     clutter = alarms / (scope**2 * sector / 2)
-    if name == "kalman paper":
+    if name in ("kalman paper", TO_THE_LETTER):
         settings = KalmanPaperParams(sonar.sigma_m, 0.5, p_detect=detect, clutter_per_m2=clutter)
-        return kalman_paper(settings, max_tracks=_KALMAN_SLOTS), looks
-    return _kalman_jpda(detect, clutter, sonar), (looks, scans.pose)
+        start = "origin" if name == TO_THE_LETTER else "detection"
+        return kalman_paper(settings, max_tracks=_KALMAN_SLOTS, start=start), looks
+    return _kalman_lbp(detect, clutter, sonar), (looks, scans.pose)
 
 
-def _kalman_jpda(detect: Array, clutter: Array, sonar: BeamSonar) -> Estimator:
-    """Return a Kalman tracker with settings that suit the scene, over looks with their poses."""
+def _kalman_lbp(detect: Array, clutter: Array, sonar: BeamSonar) -> Estimator:
+    """Return a Kalman tracker with settings that suit the scene, over looks with their poses.
+
+    Its many tentative tracks are too many for exact JPDA, which belief propagation stands for.
+    """
     params = KalmanTrackerParams(
         sonar.sigma_m,
         0.02,
@@ -268,7 +288,8 @@ def _floor(
     return Found(mean, covariance, known & truth.mask, identity)
 
 
-def _scores(found: Found, truth: Truth) -> Scores:
+def scores_of(found: Found, truth: Truth) -> Scores:
+    """Return how far what is reported is from what is true, look by look."""
     each = jax.vmap(
         lambda mean, mask, state, there: ospa(
             mean[:, :2], mask, state[:, :2], there, cutoff=CUTOFF, order=ORDER

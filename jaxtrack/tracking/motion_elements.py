@@ -23,7 +23,7 @@ from jaxtrack.tracking.prepared import (
     joint_sizes,
     prepare,
 )
-from jaxtrack.types import Array, BeamScan, Scan, Tracks
+from jaxtrack.types import Array, BeamScan, Scan, Stage, Tracks
 
 ESTIMATORS = ("joint", "csht", "sht")
 
@@ -107,6 +107,9 @@ def motion_elements(
     tracks, info = _joint_program(sizes, ready.observation)(looks, voted)
     if bool(info.overflow):
         notes += ("there are more pairs of detections than fit: targets may be missing",)
+    # Their evidence has passed the gate, which is what confirms a track.
+    stage = jnp.where(tracks.mask, Stage.CONFIRMED, Stage.EMPTY).astype(tracks.stage.dtype)
+    tracks = tracks._replace(stage=stage)
     start_s, _ = look_times(looks)
     return MotionElements(tracks, propagate(tracks.mean, start_s[0]), gate, notes)
 

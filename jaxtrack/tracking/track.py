@@ -71,7 +71,7 @@ def track(
     p_detect: float = 0.9,
     false_per_window: float = 0.01,
     window: int = 10,
-    max_tracks: int = 10,
+    max_tracks: int | None = None,
     key: Key | None = None,
 ) -> tuple[Tracks, TrackInfo]:
     """Return the tracks of a recording at every look, stacked [T].
@@ -94,7 +94,8 @@ def track(
         p_detect: probability that a target is detected in a look, in (0, 1).
         false_per_window: wanted mean number of false tracks in a window, at most.
         window: looks of the joint vote, and those that `false_per_window` counts.
-        max_tracks: slots of the table; tentative tracks take some.
+        max_tracks: slots of the table; tentative tracks take some, in a Kalman tracker many.
+            None: 32, and 10 of `joint` and of `jpda`, which has no more.
         key: of the associators that draw; None: `jax.random.key(0)`.
 
     Returns:
@@ -120,6 +121,8 @@ def track(
     check_known("sigma_a_m_s2", sigma_a_m_s2, lambda x: (x >= 0) & np.isfinite(x), want)
     check_size("window", window, at_least=3)
     most = MAX_TRACKS if tracker == "jpda" else MOST_TRACKS
+    if max_tracks is None:
+        max_tracks = 10 if tracker in ("joint", "jpda") else 32
     if check_size("max_tracks", max_tracks) > most:
         why = "; belief_propagation takes more" if tracker == "jpda" else ""
         raise ValueError(f"max_tracks: got {max_tracks}, want at most {most}{why}")
@@ -161,7 +164,8 @@ def track(
     if tracker == "joint" and bool(jnp.any(info.info.overflow)):
         notes += ("windows held more pairs of detections than fit: tracks may be missing",)
     if bool(jnp.any(info.full)):
-        notes += (f"the table of {max_tracks} tracks was full at times: raise max_tracks",)
+        more = "raise max_tracks" if max_tracks < most else "belief_propagation takes more"
+        notes += (f"the table of {max_tracks} tracks was full at times: {more}",)
     return tracks._replace(mask=shown), TrackInfo(score, ready.clutter_per_m2, info.full, notes)
 
 

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from jaxtrack.sensors import tracking_scene
 from jaxtrack.studies import (
     tables,
     tracking,
@@ -10,11 +11,12 @@ from jaxtrack.studies import (
     tracking_report,
 )
 from jaxtrack.studies.csht import CELLS
-from jaxtrack.studies.tracking_trial import FLOOR, TRACKERS, TRUTHS
+from jaxtrack.studies.tracking_trial import FLOOR, TRACKERS, TRUTHS, quiet_looks
 from jaxtrack.types import Truth
 
 NAMES = (*TRACKERS, FLOOR)
 LOOKS = 199
+QUIET = np.asarray(quiet_looks(tracking_scene("visible").truth))
 
 
 def made_up(*, joint=1.2, late=0, share_right=1.0, nees=4.0, trials=100):
@@ -38,6 +40,7 @@ def made_up(*, joint=1.2, late=0, share_right=1.0, nees=4.0, trials=100):
             "nees": (one, np.full(shape, 3 * nees)),
             "own": (one, np.full(shape, 3)),
             "strays": (one, np.full(shape, 1)),
+            "quiet": (("cell", "trial", "look"), np.broadcast_to(QUIET, (*shape[:2], LOOKS))),
             "full": (one, np.broadcast_to(np.array(NAMES)[:, None] == "kalman paper", shape)),
         },
         coords={"truth": list(TRUTHS), "tracker": list(NAMES), **rates},
@@ -45,7 +48,7 @@ def made_up(*, joint=1.2, late=0, share_right=1.0, nees=4.0, trials=100):
 
 
 def verdicts(**options):
-    rows = tracking_report.marks(made_up(**options), tracking._quiet())
+    rows = tracking_report.marks(made_up(**options), made_up(**options).isel(cell=[5]))
     return {row.what: tables.verdict(row.ours, row.mark) for row in rows}
 
 
@@ -70,6 +73,15 @@ def test_what_a_mark_forbids_fails(change, what):
     assert any(what in name for name in failed)
 
 
+def test_generated_scenes_are_judged_too_where_there_are_some():
+    good, bad = made_up(), made_up(share_right=0.8).isel(cell=[5])
+    rows = {row.what: row for row in tracking_report.marks(good, bad)}
+    row = rows["generated scenes: hough joint, runs of the right number throughout"]
+    assert tables.verdict(row.ours, row.mark) == "fails"
+    assert not any(name.startswith("generated") for name in
+                   (row.what for row in tracking_report.marks(good)))  # fmt: skip
+
+
 def test_the_papers_distances_are_roots_of_squared_averages():
     for which in ("RATES", "SIGMA"):
         card, loc, all_ = (
@@ -90,7 +102,7 @@ def test_combined_is_below_the_mean_distance_where_errors_of_number_come_and_go(
 
 
 def test_quiet_looks_are_those_outside_ten_seconds_after_a_birth_or_death():
-    quiet = tracking._quiet()
+    quiet = QUIET
     time_s = 1 + 0.5 * np.arange(LOOKS)
     assert not quiet[:20].any()
     assert quiet[20:41].all()

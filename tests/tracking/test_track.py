@@ -103,7 +103,7 @@ def test_recordings_alike_share_one_program():
     for seed in (5, 6):
         tracks, _ = track(recording(seed), tracker="greedy", speed=SPEED, sigma_m=4.0 + seed)
         assert tracks.mask.any()
-    program = _program("greedy", None, POSITION, 10, 10)
+    program = _program("greedy", None, POSITION, 10, 32)
     assert _program.cache_info().misses == before + 1
     assert program._cache_size() == 1
 
