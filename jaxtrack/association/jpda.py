@@ -11,6 +11,7 @@ so one pass and its reverse mode give all marginals, in O(M T 2^T) and without a
 
 import jax
 import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
 
 from jaxtrack.association.gating import (
     Association,
@@ -60,7 +61,7 @@ def marginals(likelihood_ratio: Array, miss: Array) -> Array:
         )
     weight = likelihood_ratio
     missed = floored(miss)
-    per_weight, per_miss = jax.grad(_log_total, (0, 1))(weight, missed)
+    per_weight, per_miss = (checkpoint_name(x, "jpda") for x in _slopes(weight, missed))
     return jnp.concatenate([weight * per_weight, (missed * per_miss)[:, None]], axis=1)
 
 
@@ -89,6 +90,25 @@ def associate(
          [18. 82.]]
     """
     return from_marginals(marginals(*likelihood_ratios(predicted, scan, params)))
+
+
+@jax.custom_vjp
+def _slopes(weight: Array, miss: Array) -> tuple[Array, Array]:
+    """Return ∂ log Z / ∂w and ∂ log Z / ∂w_0."""
+    return jax.grad(_log_total, (0, 1))(weight, miss)
+
+
+def _slopes_forward(weight: Array, miss: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    return _slopes(weight, miss), (weight, miss)
+
+
+def _slopes_backward(at: tuple[Array, Array], along: tuple[Array, Array]) -> tuple[Array, Array]:
+    # Second derivatives are symmetric: what comes back is what goes forth, and going forth needs
+    # neither the programme's steps in memory nor their reverse mode twice.
+    return jax.jvp(jax.grad(_log_total, (0, 1)), at, along)[1]
+
+
+_slopes.defvjp(_slopes_forward, _slopes_backward)
 
 
 def _log_total(weight: Array, miss: Array) -> Array:

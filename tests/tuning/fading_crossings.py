@@ -10,6 +10,7 @@ import pathlib
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 
 from jaxtrack.metrics import swap_and_loss
@@ -35,14 +36,14 @@ AWAY_M = 3.0
 LOW = {
     "angle_rad": math.radians(20.0),
     "gap_m": -4.0,
-    "fade_middle_s": jnp.full(2, 6.0),
-    "fade_length_s": jnp.zeros(2),
+    "fade_middle_s": np.full(2, 6.0),
+    "fade_length_s": np.zeros(2),
 }
 HIGH = {
     "angle_rad": math.radians(90.0),
     "gap_m": 4.0,
-    "fade_middle_s": jnp.full(2, 18.0),
-    "fade_length_s": jnp.full(2, 4.0),
+    "fade_middle_s": np.full(2, 18.0),
+    "fade_length_s": np.full(2, 4.0),
 }
 SCORE = {"broken": 0.0, "swap": 0.0, "lost": 0.0}
 
@@ -53,7 +54,7 @@ def simulate(scene, key):
     meeting = Meeting(scene["angle_rad"], scene["gap_m"])
     truth = meeting_targets(path, meeting)
     seen = observe_echoes(look, truth, SENSOR, echoes=1, clutter=12)
-    fades = Fade(scene["fade_middle_s"], scene["fade_length_s"])
+    fades = Fade(scene["fade_middle_s"], scene["fade_length_s"], edge_s=0.5)
     return truth, fade(seen.scans, seen.origin, fades), rest
 
 
@@ -108,7 +109,7 @@ find = functools.partial(
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
-    worst = find(key=jax.random.key(0), starts=4, steps=60, verify=2000)
+    worst = find(key=jax.random.key(0), starts=6, steps=40, verify=2000)
     write_regression_scenes(
         FILE,
         worst,
