@@ -77,7 +77,16 @@ def read_regression_scenes(file: str | os.PathLike[str], *, scene: Any, score: A
 
     Raises:
         ValueError: another format, or other names than those asked for.
-    """
+
+    Example:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = pathlib.Path(folder) / "scenes.json"
+        ...     _ = file.write_text('{"format": "another"}')
+        ...     read_regression_scenes(file, scene={"gap_m": 0.0}, score={"lost": 0.0})
+        Traceback (most recent call last):
+        ValueError: file: got ...scenes.json, want one whose format is 'jaxtrack regression scenes 1'
+    """  # noqa: E501
     content = json.loads(pathlib.Path(file).read_text(encoding="utf-8"))
     if not isinstance(content, dict) or content.get("format") != _FORMAT:
         raise ValueError(f"file: got {file}, want one whose format is {_FORMAT!r}")
