@@ -11,6 +11,7 @@ so one pass and its reverse mode give all marginals, in O(M T 2^T) and without a
 
 import jax
 import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
 
 from jaxtrack.association.gating import (
     Association,
@@ -30,8 +31,9 @@ MAX_TRACKS = 10
 def marginals(likelihood_ratio: Array, miss: Array) -> Array:
     """Return the probability of each detection, and last of the miss, for each track: [T, M + 1].
 
-    Differentiable to any order. Rows may have any scale, in single precision as well: each is
-    divided by its largest weight, and what that does to a subset is put back in logarithms.
+    Differentiable to any order, in reverse mode first; to policies of `jax.checkpoint` they are
+    "jpda". Rows may have any scale, in single precision as well: each is divided by its largest
+    weight, and what that does to a subset is put back in logarithms.
 
     Args:
         likelihood_ratio: [T, M] w ≥ 0; zero for pairs that may not be.
@@ -60,7 +62,7 @@ def marginals(likelihood_ratio: Array, miss: Array) -> Array:
         )
     weight = likelihood_ratio
     missed = floored(miss)
-    per_weight, per_miss = jax.grad(_log_total, (0, 1))(weight, missed)
+    per_weight, per_miss = (checkpoint_name(x, "jpda") for x in _slopes(weight, missed))
     return jnp.concatenate([weight * per_weight, (missed * per_miss)[:, None]], axis=1)
 
 
@@ -89,6 +91,29 @@ def associate(
          [18. 82.]]
     """
     return from_marginals(marginals(*likelihood_ratios(predicted, scan, params)))
+
+
+def _both(weight: Array, miss: Array) -> tuple[Array, Array]:
+    return jax.grad(_log_total, (0, 1))(weight, miss)
+
+
+@jax.custom_vjp
+def _slopes(weight: Array, miss: Array) -> tuple[Array, Array]:
+    """Return ∂ log Z / ∂w and ∂ log Z / ∂w_0."""
+    return _both(weight, miss)
+
+
+def _slopes_forward(weight: Array, miss: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    return _both(weight, miss), (weight, miss)
+
+
+def _slopes_backward(at: tuple[Array, Array], along: tuple[Array, Array]) -> tuple[Array, Array]:
+    # Second derivatives are symmetric: what comes back is what goes forth, and going forth needs
+    # neither the programme's steps in memory nor their reverse mode twice.
+    return jax.jvp(_both, at, along)[1]
+
+
+_slopes.defvjp(_slopes_forward, _slopes_backward)
 
 
 def _log_total(weight: Array, miss: Array) -> Array:

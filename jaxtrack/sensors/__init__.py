@@ -15,6 +15,7 @@ from jaxtrack.sensors.crossings import (
     situations,
 )
 from jaxtrack.sensors.echoes import Echo, echo_amplitudes, reverberate
+from jaxtrack.sensors.fading import Fade, drop, fade
 from jaxtrack.sensors.mounting import (
     Mounting,
     Sightings,
@@ -83,6 +84,7 @@ __all__ = [
     "Echo",
     "EchoLooks",
     "EchoSensor",
+    "Fade",
     "Meeting",
     "Mounting",
     "PingRun",
@@ -103,7 +105,9 @@ __all__ = [
     "crossing_targets",
     "dragged_bucket",
     "drifting_pose",
+    "drop",
     "echo_amplitudes",
+    "fade",
     "in_sight",
     "in_view",
     "meeting_pings",

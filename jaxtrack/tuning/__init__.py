@@ -5,9 +5,11 @@
 `fit` is the loop, and `mean_loss` what it evaluates. For losses there are `metrics.ospa` and
 `metrics.gospa`, whose gradient is that of the assignment at hand; `sinkhorn_ospa`, smooth where
 that one has kinks; `candidate_softmax` for votes; `negative_log_likelihood` for filters;
-`false_track_loss` for gates. Data come out; `jaxtrack.plots` draws them.
+`false_track_loss` for gates. `falsify` goes the other way, up the loss in what makes a scene, and
+finds scenes that break a tracker. Data come out; `jaxtrack.plots` draws them.
 """
 
+from jaxtrack.tuning.falsify import Falsified, falsify, uniform_scene
 from jaxtrack.tuning.fit import FitHistory, FitResult, fit
 from jaxtrack.tuning.objectives import (
     candidate_softmax,
@@ -15,16 +17,22 @@ from jaxtrack.tuning.objectives import (
     negative_log_likelihood,
 )
 from jaxtrack.tuning.realizations import mean_loss
+from jaxtrack.tuning.regression_scenes import read_regression_scenes, write_regression_scenes
 from jaxtrack.tuning.sinkhorn import SinkhornOspa, sinkhorn_ospa
 
 __all__ = [
+    "Falsified",
     "FitHistory",
     "FitResult",
     "SinkhornOspa",
     "candidate_softmax",
     "false_track_loss",
+    "falsify",
     "fit",
     "mean_loss",
     "negative_log_likelihood",
+    "read_regression_scenes",
     "sinkhorn_ospa",
+    "uniform_scene",
+    "write_regression_scenes",
 ]

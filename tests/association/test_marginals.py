@@ -114,6 +114,21 @@ def test_gradients_of_marginals_are_central_differences_also_under_jit_and_vmap(
     np.testing.assert_allclose(batch[0], jax.jit(jax.grad(loss))(ratio, miss), rtol=1e-10)
 
 
+def test_second_derivatives_are_differences_of_gradients_both_ways():
+    ratio, miss = problem(3, (2, 3), zeros=0.0, decades=0.5)
+    scale = jnp.asarray(np.random.default_rng(0).normal(size=(2, 4)))
+    loss = lambda ratio: (scale * jpda.marginals(ratio, miss) ** 2).sum()
+    slope = jax.jit(jax.grad(loss))
+    forth = jax.jit(jax.hessian(loss))(ratio)
+    back = jax.jit(jax.jacrev(jax.grad(loss)))(ratio)
+    np.testing.assert_allclose(forth, back, rtol=1e-9, atol=1e-12)
+    for index in np.ndindex(ratio.shape):
+        step = np.zeros_like(ratio)
+        step[index] = 1e-5
+        expected = (slope(ratio + step) - slope(ratio - step)) / 2e-5
+        np.testing.assert_allclose(forth[index], expected, rtol=1e-5, atol=1e-7)
+
+
 def test_a_pair_that_may_not_be_has_the_gradient_of_its_first_weight():
     ratio, miss = problem(4, (3, 4), zeros=0.0, decades=0.5)
     ratio[0], ratio[1, 2] = 0.0, 0.0  # one row without any, one entry
