@@ -67,11 +67,11 @@ class Run(NamedTuple):
 
 
 class _Tracks(NamedTuple):
-    """Two tracks of each of M associators."""
+    """Two tracks of an associator."""
 
-    mean: Array  # [M, 2, 4]
-    covariance: Array  # [M, 2, 4, 4]
-    time: Array  # [M, 2] of each, in looks
+    mean: Array  # [2, 4]
+    covariance: Array  # [2, 4, 4]
+    time: Array  # [2] of each, in looks
 
 
 def trial(key: Key, inputs: Inputs) -> Outcome:
@@ -137,20 +137,23 @@ def simulate(key: Key, inputs: Inputs) -> Run:
         found = method.associate(predicted, seen, here, key)
         return method.update(mean, covariance, predicted, seen, found)
 
-    def step(tracks: _Tracks, at: tuple[Scan, Array, Key, tuple]):
+    def step(tracks: dict[str, _Tracks], at: tuple[Scan, Array, Key, tuple]):
         seen, origin, key, turning = at
-        middle = propagate(tracks.mean, turning[0] - tracks.time)
+        # All moved at once: a program of its own for each takes long to compile.
+        every = _Tracks(*(jnp.stack(x) for x in zip(*tracks.values(), strict=True)))
+        middle = propagate(every.mean, turning[0] - every.time)
         time = seen_at(middle[..., :2], *turning)
-        moved = jax.vmap(jax.vmap(move))(tracks.mean, tracks.covariance, time - tracks.time)
-        after = [
-            associated(name, moved.mean[place], moved.covariance[place], seen, origin, key)
-            for place, name in enumerate(METHODS)
-        ]
-        tracks = _Tracks(*(jnp.stack(x) for x in zip(*after, strict=True)), time)
-        return tracks, tracks
+        moved = jax.vmap(jax.vmap(move))(every.mean, every.covariance, time - every.time)
+        after = {}
+        for place, (name, (mean, covariance)) in enumerate(
+            zip(METHODS, zip(*moved, strict=True), strict=True)
+        ):
+            found = associated(name, mean, covariance, seen, origin, key)
+            after[name] = _Tracks(*found, time[place])
+        return after, after
 
     keys = jax.random.split(draws, LOOKS)
-    start = jax.tree.map(lambda x: jnp.broadcast_to(x, (len(METHODS), *x.shape)), one)
-    _, found = jax.lax.scan(step, start, (looks.scans, looks.origin, keys, turning))
-    of = lambda x: {name: x[:, place] for place, name in enumerate(METHODS)}
-    return Run(looks, of(found.mean), of(found.covariance))
+    each = looks.scans, looks.origin, keys, turning
+    _, found = jax.lax.scan(step, dict.fromkeys(METHODS, one), each)
+    mean, covariance = ({name: found[name][k] for name in METHODS} for k in (0, 1))
+    return Run(looks, mean, covariance)
