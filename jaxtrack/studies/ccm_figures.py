@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from jaxtrack.sensors import sweeps
+from jaxtrack.sensors.crossings import MEETING_LOOK
 from jaxtrack.studies.ccm_looks import PRESET, Looks
 from jaxtrack.studies.ccm_trial import SHOWN
 from jaxtrack.types import Array, Pings, Pose, Scan
@@ -23,7 +24,7 @@ PATHS = {
 _OVER_TIME = ("A3", "B", "D", "B, pings")
 _ON_SONAR = {"B, pings": "10_sonar_B"}
 _PAPERS = ("nearest", "jpda", "cloud")
-_MARGIN_M = 4.0
+_MARGIN_M, _AROUND_M = 4.0, 16.0
 
 
 def draw(
@@ -54,9 +55,14 @@ def draw(
         progress(done := done + 1, total)
     for name, number in _ON_SONAR.items():
         paths = {method: paths_m[name][method] for method in _PAPERS}
-        title = f"Situation {name}: the loudest of all sweeps"
         figure = plots.pings_map(
-            _loudest(looks[name]), PRESET.sonar, paths_m=paths, title=title, axes="x_y"
+            _loudest(looks[name]),
+            PRESET.sonar,
+            truth=jax.tree.map(lambda x: x[MEETING_LOOK : MEETING_LOOK + 1], looks[name].truth),
+            paths_m=paths,
+            around_m=_AROUND_M,
+            title=f"Situation {name}: all sweeps, the truth where they meet",
+            axes="x_y",
         )
         figure.savefig(out / f"figure_{number}.png", dpi=150)
         progress(done := done + 1, total)
