@@ -39,7 +39,9 @@ class Known(NamedTuple):
     p_detect: Array | float
     echoes: Array | float  # of a detected target
     clutter_per_m2: Array | float
-    spread_m: Array | tuple[float, float]  # [2] of an echo about its target, in x and in y
+    spread_m: (
+        Array | tuple[Array | float, Array | float]
+    )  # [2] of an echo about its target, in x and in y
 
 
 # What sweeps of A and B held on the average, see the study's table of looks.
@@ -78,8 +80,10 @@ def known_of(source: str, sensor: EchoSensor) -> Known:
         >>> known_of("echoes", EchoSensor()).spread_m
         (0.5, 0.5)
     """
-    drawn = Known(sensor.p_detect, sensor.echoes, sensor.clutter_per_m2, (sensor.spread_m,) * 2)
-    return drawn if source == "echoes" else _KNOWN[source]
+    if source != "echoes":
+        return _KNOWN[source]
+    spread_m = sensor.spread_m, sensor.spread_m
+    return Known(sensor.p_detect, sensor.echoes, sensor.clutter_per_m2, spread_m)
 
 
 def looks_of(path: Key, look: Key, situation: Situation, source: Array) -> Looks:

@@ -78,9 +78,9 @@ def claims(scores: xr.Dataset, cells: Sequence[str]) -> list[Claim]:
         for rival in RIVALS:
             for what, each, read in (("failures", failed, float), ("distance", squared, np.sqrt)):
                 ours, theirs = each["cloud"], each[rival]
-                values = (float(read(x.mean())) for x in (ours, theirs))
+                value = lambda x, read=read: float(read(x.mean()))
                 word = _word(mean_of(theirs - ours))
-                found.append(Claim(cell, rival, what, *values, word))
+                found.append(Claim(cell, rival, what, value(ours), value(theirs), word))
     return found
 
 

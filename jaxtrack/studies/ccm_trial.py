@@ -140,7 +140,8 @@ def simulate(key: Key, inputs: Inputs) -> Run:
     def step(tracks: dict[str, _Tracks], at: tuple[Scan, Array, Key, tuple]):
         seen, origin, key, turning = at
         # All moved at once: a program of its own for each takes long to compile.
-        every = _Tracks(*(jnp.stack(x) for x in zip(*tracks.values(), strict=True)))
+        before = [tracks[name] for name in METHODS]  # a dict comes back in another order
+        every = _Tracks(*(jnp.stack(x) for x in zip(*before, strict=True)))
         middle = propagate(every.mean, turning[0] - every.time)
         time = seen_at(middle[..., :2], *turning)
         moved = jax.vmap(jax.vmap(move))(every.mean, every.covariance, time - every.time)
