@@ -211,3 +211,6 @@ def test_tracks_on_pings_are_where_the_targets_are_when_the_beam_gets_there():
         for name in METHODS:
             apart = found.mean[name][..., :2] - np.asarray(found.looks.truth.state)[..., :2]
             assert np.linalg.norm(apart, axis=-1).max() < 4.0
+        # So far apart there is nothing to share: each rule keeps the tracks of its like.
+        for name, like in (("greedy", "nearest"), ("jpda", "pda"), ("cloud_nearest", "cloud")):
+            np.testing.assert_allclose(found.mean[name], found.mean[like], atol=1e-6)
