@@ -1,5 +1,8 @@
 """A sweep of a mechanically scanned sonar from above: intensities, the cloud, and the truth."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -19,6 +22,7 @@ def pings_map(
     cloud: Scan | None = None,
     truth: Truth | None = None,
     *,
+    paths_m: Mapping[str, Any] | None = None,
     around_m: float | None = None,
     title: str = "",
     axes: str = "north_east",
@@ -30,6 +34,7 @@ def pings_map(
         sonar: its scope, step and mounting.
         cloud: points, such as `sensors.cloud_of_pings` gives; drawn as circles.
         truth: where targets were in this sweep, of any number of times; drawn as crosses.
+        paths_m: [T, K, 2] positions of tracks by method, drawn as lines.
         around_m: half the width of a window around the first true target; None: the whole sector.
         title: of the figure.
         axes: `"north_east"` (x north is drawn upwards, y east to the right) or `"x_y"`.
@@ -70,6 +75,12 @@ def pings_map(
             at = np.asarray(cloud.position_m)[np.asarray(cloud.mask)][:, order]
             kept = {"mfc": "none", "mec": COLOURS[1], "ms": 3.0, "mew": 0.6}
             plane.plot(*at.T, "o", label="cloud", zorder=3, **kept)
+        for place, (name, path) in enumerate((paths_m or {}).items()):
+            tracks = np.asarray(path)[..., order]  # [T, K, 2]
+            colour = COLOURS[(place + 2) % len(COLOURS)]
+            for number in range(tracks.shape[1]):
+                label = name if number == 0 else None
+                plane.plot(*tracks[:, number].T, color=colour, lw=1.2, label=label, zorder=3)
         if len(true):
             plane.plot(*true.T, "x", color=INK, ms=8, mew=1.6, label="truth", zorder=4)
         if around_m is not None:

@@ -207,6 +207,15 @@ def test_a_sweep_is_drawn_where_its_pings_poses_put_it(tmp_path):
     assert gap.min(axis=0).max() < 0.05
     draw(figure, tmp_path)
 
+    paths_m = {"ours": np.arange(12.0).reshape(3, 2, 2), "theirs": np.ones((3, 2, 2))}
+    tracked = plots.pings_map(sweep, sonar, paths_m=paths_m)
+    assert legend(tracked) == ["sonar", "ours", "theirs"]
+    lines = tracked.axes[0].get_lines()[1:]
+    assert [line.get_xydata().tolist() for line in lines[:2]] == [
+        [[1.0, 0.0], [5.0, 4.0], [9.0, 8.0]],
+        [[3.0, 2.0], [7.0, 6.0], [11.0, 10.0]],
+    ]
+    assert lines[0].get_color() == lines[1].get_color() != lines[2].get_color()
     near = plots.pings_map(sweep, sonar, cloud, truth, around_m=4.0, axes="x_y").axes[0]
     at = np.asarray(truth.state[0, 0, :2])
     np.testing.assert_allclose([near.get_xlim(), near.get_ylim()], at[:, None] + [[-4.0, 4.0]])
