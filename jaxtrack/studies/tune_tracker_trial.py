@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack.metrics import ospa
-from jaxtrack.sensors import Radar, SceneLimits, observe, random_targets
+from jaxtrack.sensors import Radar, observe
 from jaxtrack.sensors.radar import move
 from jaxtrack.studies.tuned_ways import Score
 from jaxtrack.tracking import KalmanTrackerParams, LifecycleParams, kalman_tracker, soft_lives
@@ -20,9 +20,8 @@ from jaxtrack.tuning import sinkhorn_ospa
 from jaxtrack.types import Array, Key, Scan, Stage, Tracks, Truth
 
 CUTOFF_M, ORDER = 20.0, 2.0
-RADAR = Radar(0.9, 3.0, 1.5, (0.0, 0.0), (600.0, 600.0))
+RADAR = Radar(0.9, 3.0, 1.0, (0.0, 0.0), (600.0, 600.0))
 ACCELERATION_M_S2 = 0.5  # of each coordinate; a look is a second
-_LIMITS = SceneLimits(4.0, 12.0, 20.0)
 _TARGETS, _LOOKS, _DETECTIONS, _SLOTS = 3, 40, 10, 8
 _TEMPERATURE, _ITERATIONS = 0.02, 30  # of the smooth OSPA
 
@@ -98,11 +97,18 @@ def _track(
 
 def _simulate(key: Key) -> tuple[Truth, Scan]:
     """Return targets that come and go, and what the radar sees of them."""
-    draw, turn, spans, look = jax.random.split(key, 4)
-    straight, _ = random_targets(draw, RADAR, _LIMITS, targets=_TARGETS, looks=_LOOKS, dt_s=1.0)
-    truth = move(turn, straight.state[0], straight.time_s, ACCELERATION_M_S2)
-    born, gone = jax.random.uniform(spans, (2, _TARGETS), truth.state.dtype)
-    step = jnp.arange(_LOOKS).astype(truth.state.dtype)[:, None] / _LOOKS
-    there = (step >= born[None] / 2) & (step < 0.6 + gone[None])
-    truth = truth._replace(mask=there)
+    draw, turn, look = jax.random.split(key, 3)
+    dtype = jnp.result_type(float)
+    # One draw for all of it: each is a second of compilation.
+    x, y, speed, course, born, gone = jax.random.uniform(draw, (6, _TARGETS), dtype)
+    time_s = jnp.arange(_LOOKS).astype(dtype)
+    low, high = (jnp.asarray(corner, dtype) for corner in (RADAR.field_low_m, RADAR.field_high_m))
+    middle = low + (high - low) * (0.3 + 0.4 * jnp.stack([x, y], axis=-1))
+    velocity = (4 + 8 * speed)[:, None] * jnp.stack(
+        [jnp.cos(2 * jnp.pi * course), jnp.sin(2 * jnp.pi * course)], axis=-1
+    )
+    start = jnp.concatenate([middle - velocity * time_s[-1] / 2, velocity], axis=-1)
+    truth = move(turn, start, time_s, ACCELERATION_M_S2)
+    share = time_s[:, None] / _LOOKS
+    truth = truth._replace(mask=(share >= born[None] / 2) & (share < 0.6 + gone[None]))
     return truth, observe(look, truth, RADAR, detections=_DETECTIONS)
