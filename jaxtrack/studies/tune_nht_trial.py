@@ -15,7 +15,7 @@ from jaxtrack.hough import Grid, Sizes, neutrosophic
 from jaxtrack.hough.votes import evaluate, gaussian
 from jaxtrack.metrics import initiation_scores, line_distance
 from jaxtrack.sensors import Scene, crossing_targets, observe
-from jaxtrack.studies.tuned_ways import Score
+from jaxtrack.studies.tuned_ways import Score, Settings
 from jaxtrack.tuning import candidate_softmax
 from jaxtrack.types import Array, Key, Lines, Scan
 
@@ -28,21 +28,18 @@ _DETECTIONS = 32
 _SIZES = Sizes(lines=8, pairs=192, predecessors=24, candidates=256)
 _RULES = neutrosophic.Rules("spread")
 
-Eps = dict[str, Any]
-"""`eps_rho_m` and `eps_theta_rad`: numbers, or arrays of as many settings as are tried."""
 
-
-def paper() -> Eps:
+def paper() -> dict[str, Any]:
     """Return the paper's tolerances, which are the library's defaults as well."""
     params = neutrosophic.NeutrosophicParams()
     return {"eps_rho_m": params.eps_rho_m, "eps_theta_rad": params.eps_theta_rad}
 
 
 @functools.cache
-def loss_from(origin: str) -> Callable[[Eps, Key], Array]:
+def loss_from(origin: str) -> Callable[[Settings, Key], Array]:
     """Return the loss of one scene with ρ measured from a place, the same object every time."""
 
-    def loss(eps: Eps, key: Key) -> Array:
+    def loss(eps: Settings, key: Key) -> Array:
         scene, scans = _simulate(key)
         grid = Grid(ORIGINS[origin])
         params = neutrosophic.NeutrosophicParams(grid)._replace(**eps)
@@ -70,13 +67,13 @@ def loss_from(origin: str) -> Callable[[Eps, Key], Array]:
 
 
 @functools.cache
-def score_from(origin: str) -> Callable[[Eps, Key], Score]:
+def score_from(origin: str) -> Callable[[Settings, Key], Score]:
     """Return the score of one scene: whether the three strongest lines are not the three targets.
 
     Its measures are the two distances at which a line is a target's.
     """
 
-    def score(eps: Eps, key: Key) -> Score:
+    def score(eps: Settings, key: Key) -> Score:
         scene, scans = _simulate(key)
         there = jnp.asarray(scene.truth.mask).all(0)
         params = neutrosophic.NeutrosophicParams(Grid(ORIGINS[origin]))._replace(**eps)

@@ -65,8 +65,8 @@ def marks(scores: xr.Dataset) -> list[Row]:
 STUDY = Study(
     name="tune_tracker",
     title="Tuning by gradient: gate, noise, birth and confirmation of the Kalman–JPDA tracker",
-    source="this library; the tracker is that of Fortmann, Bar-Shalom and Scheffe, Sonar Tracking of "
-    "Multiple Targets Using Joint Probabilistic Data Association, 1983, with M-of-N lives",
+    source="this library; the tracker is that of Fortmann, Bar-Shalom and Scheffe, Sonar Tracking "
+    "of Multiple Targets Using Joint Probabilistic Data Association, 1983, with M-of-N lives",
     trials_short=2,
     trials_full=200,
     seconds_short=25.0,

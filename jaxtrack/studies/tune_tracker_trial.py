@@ -5,7 +5,6 @@ the tracker as people use it, with its gate, its M-of-N rule and its deletions.
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +12,7 @@ import jax.numpy as jnp
 from jaxtrack.metrics import ospa
 from jaxtrack.sensors import Radar, observe
 from jaxtrack.sensors.radar import move
-from jaxtrack.studies.tuned_ways import Score
+from jaxtrack.studies.tuned_ways import Score, Settings
 from jaxtrack.tracking import KalmanTrackerParams, LifecycleParams, kalman_tracker, soft_lives
 from jaxtrack.tracking.lives import Lives
 from jaxtrack.tuning import sinkhorn_ospa
@@ -25,11 +24,8 @@ ACCELERATION_M_S2 = 0.5  # of each coordinate; a look is a second
 _TARGETS, _LOOKS, _DETECTIONS, _SLOTS = 3, 40, 10, 8
 _TEMPERATURE, _ITERATIONS = 0.02, 30  # of the smooth OSPA
 
-Settings = dict[str, Any]
-"""The five numbers that are tuned, by name."""
 
-
-def hand() -> Settings:
+def hand() -> dict[str, float]:
     """Return what is set by hand: noise as the scene has it, the library's gate and birth.
 
     Six nats of evidence confirm: a false track a thousand candidates or two.

@@ -66,7 +66,7 @@ def near_best(scores: xr.Dataset, case: str, words: Words) -> list[Row]:
     The best is chosen on the very scenes: a little too good, which is to the others' disadvantage.
     """
     here = scores.score.sel(case=case).isel(measure=0).astype(np.float64)
-    best = str(here.setting.values[int(here.mean("trial").argmin())])
+    best = str(here.setting.values[here.mean("trial").values.argmin()])
     default = str(here.setting.values[0])
     tuners = [str(tuner) for tuner in scores.tuner.values]
     of = lambda setting: here.sel(setting=setting).values
@@ -130,7 +130,8 @@ def draw(
         at = [names.index(axis) for axis in axes]
         params = scores.params.sel(case=case)
         figure = plots.loss_map(
-            *(landscape[axis].values for axis in axes),
+            landscape[axes[0]].values,
+            landscape[axes[1]].values,
             landscape.values,
             {f"from {start}": ways[case, GRADIENT, start].steps[:, at] for start in starts},
             x_label=label(axes[0]),

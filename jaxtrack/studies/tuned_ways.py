@@ -163,6 +163,7 @@ def _search(
 
 
 def named(names: Iterable[str], values: np.ndarray) -> dict[str, float]:
+    """Return numbers by their names."""
     return {name: float(value) for name, value in zip(names, values, strict=True)}
 
 
