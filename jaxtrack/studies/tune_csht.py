@@ -7,7 +7,7 @@ the defaults; beside it Optuna's TPE, as `tuned` has it.
 
 import xarray as xr
 
-from jaxtrack.numerics import bijector_of, bounded, positive
+from jaxtrack.numerics import bounded, positive
 from jaxtrack.studies import tuned, tuned_report
 from jaxtrack.studies.registry import Context, Study
 from jaxtrack.studies.tables import Row
@@ -19,7 +19,7 @@ STARTS = {"a fifth": 0.2, "five times": 5.0}
 MOST = 0.95  # of the shares, which are below 1
 FULL = Effort(steps=80, batch=32, holdout=128, every=10, grid=13, scenes=64)
 WORDS = tuned_report.Words(
-    titles={CASE: "Clustering-statistic transform, three targets about those of table 2"},
+    titles={CASE: "Clustering-statistic transform"},
     symbols={
         "tolerance_m": ("ε", "m"),
         "cell_share": ("λ", ""),
@@ -47,9 +47,10 @@ def cases() -> dict[str, Case]:
             hand={"defaults": default},
             starts={start: times(factor) for start, factor in STARTS.items()},
             bounds={name: (0.1 * x, most(name, 10.0 * x)) for name, x in default.items()},
-            bijector=bijector_of(
-                {name: bounded(0.0, 1.0) if name in _SHARES else positive() for name in default}
-            ),
+            bijectors={
+                name: bounded(0.0, 1.0) if name in _SHARES else positive() for name in default
+            },
+            clip=0.2,
             axes=("tolerance_m", "cell_share"),
         )
     }

@@ -22,9 +22,7 @@ ABOVE_PAPER = {"corner": Mark(0.50), "centre": Mark(0.65)}
 WITHIN = Mark(1.15, at_least=False)  # the largest of the three starts' ends over the smallest
 AS_GOOD = Mark(0.0)  # share of scenes that the gradient has over TPE
 WORDS = tuned_report.Words(
-    titles={
-        origin: f"ρ from the {origin}, situation IV with 10 clutter a scan" for origin in ORIGINS
-    },
+    titles={origin: f"ρ from the {origin}, situation IV" for origin in ORIGINS},
     symbols={"eps_rho_m": ("ε_ρ", "m"), "eps_theta_rad": ("ε_θ", "rad")},
     hand={"paper": "the paper's ε, the default", "wide": "study nht's wide ε"},
     measures=("top 3\n50 m", "top 3\n100 m"),
@@ -46,7 +44,7 @@ def cases() -> dict[str, Case]:
                 for start, factor in STARTS.items()
             },
             bounds={name: (0.1 * value, 100.0 * value) for name, value in default.items()},
-            bijector=positive(),
+            bijectors=positive(),
             axes=("eps_rho_m", "eps_theta_rad"),
         )
         for origin in ORIGINS

@@ -17,9 +17,9 @@ from jaxtrack.studies.tuned_ways import Case, Effort
 
 CASE = "tracker"
 STARTS = {"a fifth": 0.2, "five times": 5.0}
-FULL = Effort(steps=60, batch=16, holdout=48, every=10, grid=11, scenes=16)
+FULL = Effort(steps=60, batch=24, holdout=48, every=10, grid=11, scenes=16)
 WORDS = tuned_report.Words(
-    titles={CASE: "Kalman–JPDA tracker, three targets that come and go"},
+    titles={CASE: "Kalman–JPDA tracker"},
     symbols={
         "gate": ("γ", ""),
         "sigma_m": ("σ", "m"),
@@ -46,7 +46,8 @@ def cases() -> dict[str, Case]:
                 for start, factor in STARTS.items()
             },
             bounds={name: (0.1 * value, 10.0 * value) for name, value in default.items()},
-            bijector=positive(),
+            bijectors=positive(),
+            clip=0.2,
             axes=("sigma_m", "birth_sigma_m_s"),
         )
     }

@@ -98,8 +98,11 @@ def costs(scores: xr.Dataset) -> list[Row]:
     if np.isfinite(seconds).any():  # what was interrupted has no time
         slowest = exact(float(np.nanmax(seconds)), scores.sizes["trial"], "s")
         rows.append(Row("slowest tuning, compilation included", slowest, mark=SECONDS))
-    full = float(scores.overflow.values.sum())
-    rows.append(Row("scenes in which a table overflowed", rate(full, scores.overflow.size)))
+    for setting in (str(scores.setting.values[0]), f"{GRADIENT}, {scores.start.values[0]}"):
+        full = scores.overflow.sel(setting=setting).values
+        rows.append(
+            Row(f"scenes in which a table was full: {setting}", rate(full.sum(), full.size))
+        )
     return rows
 
 

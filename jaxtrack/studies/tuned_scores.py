@@ -41,7 +41,7 @@ def score_all(context: Context, cases: Mapping[str, Case], ways: Ways) -> xr.Dat
         table["params"].append(tried[last])
         table["way"].append(value[len(hands) :, :, 0].mean(1).reshape(shape))
         table["way_params"].append(tried[len(hands) :].reshape(*shape, len(names)))
-        table["overflow"].append(overflow.any(0))
+        table["overflow"].append(overflow[last].T)
         table["seconds"].append(np.reshape([way.seconds for way in here], shape[:2]))
         realizations = here[0].realizations
     way_dims = ("case", "tuner", "start", "evaluation")
@@ -50,7 +50,7 @@ def score_all(context: Context, cases: Mapping[str, Case], ways: Ways) -> xr.Dat
         {
             "score": (("case", "trial", "setting", "measure"), stacked["score"]),
             "params": (("case", "setting", "parameter"), stacked["params"]),
-            "overflow": (("case", "trial"), stacked["overflow"]),
+            "overflow": (("case", "trial", "setting"), stacked["overflow"]),
             "seconds": (way_dims[:3], stacked["seconds"], {"units": "s"}),
             "score_on_the_way": (way_dims, stacked["way"]),
             "params_on_the_way": ((*way_dims, "parameter"), stacked["way_params"]),

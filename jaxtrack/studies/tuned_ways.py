@@ -18,7 +18,6 @@ import numpy as np
 import optax
 
 from jaxtrack.montecarlo import MonteCarlo
-from jaxtrack.numerics import Bijector
 from jaxtrack.studies import parts, tpe
 from jaxtrack.studies.registry import Context
 from jaxtrack.tuning import FitResult, fit, mean_loss
@@ -47,8 +46,9 @@ class Case(NamedTuple):
     hand: Mapping[str, Settings]  # settings to compare with, the default first
     starts: Mapping[str, Settings]
     bounds: Mapping[str, tuple[float, float]]  # what TPE may try; and the map shows
-    bijector: Bijector  # of the settings
+    bijectors: Any  # of the settings, as `fit` takes them
     axes: tuple[str, str]  # of the map
+    clip: float | None = None  # of the gradient's norm: one wild realization stops Adam for long
 
 
 class Effort(NamedTuple):
@@ -113,7 +113,8 @@ def _descend(
             steps=effort.steps,
             batch=effort.batch,
             holdout=effort.holdout,
-            bijectors=case.bijector,
+            bijectors=case.bijectors,
+            clip=case.clip,
             every=effort.every,
             micro_batch=1,
             checkpoint=folder,
