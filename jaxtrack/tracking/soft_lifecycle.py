@@ -23,7 +23,7 @@ from jaxtrack.tracking.lifecycle import (
 )
 from jaxtrack.types import Array, Stage
 
-_LOWEST = -1e30  # stands for a score of −∞, of which the width has no gradient
+_ENDLESS = 1e30  # stands for a score of ±∞, of which the width has no gradient
 
 
 class Softness(NamedTuple):
@@ -125,7 +125,7 @@ def soft_grade(
     unseen = jnp.where(there, (1 - hit) * (table.unseen + 1), table.unseen)
 
     level = number(params.confirm_score)
-    level = jnp.where(level > _LOWEST, level, _LOWEST)
+    level = jnp.where(level > _ENDLESS, _ENDLESS, jnp.where(level < -_ENDLESS, -_ENDLESS, level))
     enough = jax.nn.sigmoid((tracks.log_score - level) / number(softness.score))
     enough = enough * above(history.sum(1), params.confirm_hits)
     confirmed = soft.confirmed + (1 - soft.confirmed) * hit * enough
