@@ -70,7 +70,8 @@ STUDY = Study(
     name="tune_csht",
     title="Tuning by gradient: tolerance and thresholds of the clustering-statistic transform",
     source="this library; the transform is that of Yan et al., Clustering Statistic Hough "
-    "Transform Based Estimation Method for Motion Elements of Multiple Underwater Targets, IEEE Access, 2018",
+    "Transform Based Estimation Method for Motion Elements of Multiple Underwater Targets, IEEE "
+    "Access, 2018",
     trials_short=2,
     trials_full=500,
     seconds_short=20.0,
