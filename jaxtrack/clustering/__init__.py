@@ -17,6 +17,7 @@ from jaxtrack.clustering.patterns import (
     merge,
     partition,
 )
+from jaxtrack.clustering.survival import survival
 
 __all__ = [
     "CMeans",
@@ -35,5 +36,6 @@ __all__ = [
     "memberships",
     "merge",
     "partition",
+    "survival",
     "update",
 ]

@@ -2,7 +2,7 @@
 
 Patterns live in a fixed number of slots with an active mask; the operations on them (`patterns`)
 follow each other in a loop of bounded length. They are decisions, locally constant; the gradient is
-that of the c-means at the end.
+that of the c-means at the end. How near each pattern came to falling is told by its `survival`.
 """
 
 from typing import NamedTuple
@@ -11,7 +11,14 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack.clustering.fuzzy_cmeans import check_samples, fuzzy_cmeans, memberships, update
-from jaxtrack.clustering.patterns import IsodataParams, delete, divide, merge, partition
+from jaxtrack.clustering.patterns import (
+    IsodataParams,
+    delete,
+    divide,
+    merge,
+    partition,
+)
+from jaxtrack.clustering.survival import survival
 from jaxtrack.numerics.checks import check_size
 from jaxtrack.types import Array
 
@@ -34,6 +41,7 @@ class Isodata(NamedTuple):
     aggregation: Array  # [K] C_i: the mean membership of a pattern's own samples
     residual: Array  # [] how far the last update moved any centre
     settled: Array  # [] False: patterns were still changing when the rounds ended
+    survival: Array  # [K] share by which a pattern stays; 1 where no width was given
 
 
 def farthest_first(samples: Array, weights: Array, *, mask: Array, clusters: int) -> Array:
@@ -80,6 +88,7 @@ def isodata(
     params: IsodataParams | None = None,
     tolerance: Array | float = 1e-6,
     sizes: IsodataSizes | None = None,
+    width: Array | None = None,
 ) -> Isodata:
     """Return the patterns of weighted samples by fuzzy ISODATA.
 
@@ -96,6 +105,7 @@ def isodata(
         params: parameters; the defaults if None.
         tolerance: the c-means at the end ends when no centre moves farther.
         sizes: lengths of the loops; the defaults if None.
+        width: None, or that of the sigmoids in `survival`: there the thresholds have a gradient.
 
     Raises:
         ValueError: shapes do not fit, a size is too small, a weight is negative, or m ≤ 1.
@@ -130,8 +140,20 @@ def isodata(
     )
     last = partition(samples, weights, found.centres, active, found.membership, params=params)
     mass = (weights[None, :] * found.membership).sum(-1)
+    stays = active.astype(mass.dtype)
+    if width is not None:
+        stays = survival(
+            samples, weights, found.centres, active, found.membership, width, params=params
+        )
     return Isodata(
-        found.centres, active, found.membership, mass, last.aggregation, found.residual, settled
+        found.centres,
+        active,
+        found.membership,
+        mass,
+        last.aggregation,
+        found.residual,
+        settled,
+        stays,
     )
 
 

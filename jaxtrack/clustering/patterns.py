@@ -8,6 +8,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxtrack.numerics.safe import safe_sqrt
 from jaxtrack.types import Array
 
 
@@ -146,7 +147,7 @@ def partition(
         axis=-1,
     )
     many = total > 1
-    spread = jnp.sqrt(jnp.where(many, square / jnp.where(many, total - 1, 1.0), 0.0))
+    spread = safe_sqrt(jnp.where(many, square / jnp.where(many, total - 1, 1.0), 0.0))
     spread = jnp.where(active[:, None], spread, 0.0)
     patterns = jnp.maximum(active.sum(), 1).astype(dtype)
     increase = 1 + patterns ** -jnp.asarray(params.split_exponent, dtype)

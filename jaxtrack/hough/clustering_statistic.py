@@ -107,14 +107,15 @@ def soft_estimate(
 
     Votes are Gaussians, thresholds are sigmoids and detections are shared between targets by the
     Gaussian of their distance; the clusters' gradient is that of their fixed point. How many
-    clusters there are is decided, and has no gradient. Tends to `estimate` as both tolerances
+    clusters there are is decided, and has no gradient; `info.clusters.survival` says by which share
+    each withstood the thresholds of ISODATA, and has one. Tends to `estimate` as both tolerances
     vanish (and the votes' nodes with them: `LineSizes.fine`).
 
     Args:
         scans: K looks stacked.
         params: grids, thresholds, clustering.
         tolerance_m: [] standard deviation of a vote and of the association.
-        temperature: [] width of the thresholds, as a share of the peak.
+        temperature: [] width of the thresholds, as a share of the peak, and of ISODATA's.
         key: not used; part of every window estimator's signature.
         sizes: static sizes; the defaults if None.
 
@@ -135,7 +136,7 @@ def soft_estimate(
         sizes=sizes.lines,
         temperature=width,
     )
-    clusters, line = _cluster(cells, params, sizes)
+    clusters, line = _cluster(cells, params, sizes, width)
     square = (misses(x, line) / tolerance) ** 2 / 2
     active = clusters.active[:, None, None]
     fixed = jnp.where(active, jax.lax.stop_gradient(square), jnp.inf)
@@ -203,7 +204,7 @@ def threshold_estimate(
 
 
 def _cluster(
-    cells: Cells, params: ClusteringParams, sizes: ClusteringSizes
+    cells: Cells, params: ClusteringParams, sizes: ClusteringSizes, width: Array | None = None
 ) -> tuple[Isodata, Array]:
     """Return the clusters of the cells, and their lines (v, n0), [M, 2]."""
     dtype = cells.votes.dtype
@@ -224,6 +225,7 @@ def _cluster(
         params=params.isodata,
         tolerance=1e-4,
         sizes=sizes.isodata,
+        width=width,
     )
     velocity = clusters.centres[:, 0] / scale
     return clusters, jnp.stack([velocity, clusters.centres[:, 1] - later * velocity], axis=-1)

@@ -11,10 +11,13 @@ from jaxtrack.studies.moment import STUDY as _MOMENT
 from jaxtrack.studies.nht import STUDY as _NHT
 from jaxtrack.studies.registry import Context, Study
 from jaxtrack.studies.tracking import STUDY as _TRACKING
+from jaxtrack.studies.tune_csht import STUDY as _TUNE_CSHT
 from jaxtrack.studies.tune_nht import STUDY as _TUNE_NHT
+from jaxtrack.studies.tune_tracker import STUDY as _TUNE_TRACKER
 
 STUDIES: dict[str, Study] = {
-    study.name: study for study in (_NHT, _CSHT, _CCM, _TRACKING, _MOMENT, _TUNE_NHT)
+    study.name: study
+    for study in (_NHT, _CSHT, _CCM, _TRACKING, _MOMENT, _TUNE_NHT, _TUNE_CSHT, _TUNE_TRACKER)
 }
 
 __all__ = ["STUDIES", "Context", "Study"]

@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxtrack.tuning import mean_loss
-from jaxtrack.types import Array, Key
+from jaxtrack.types import Key
 
 
 class Search(NamedTuple):
@@ -33,7 +32,7 @@ def is_installed() -> bool:
 
 
 def search(
-    loss: Callable[[Any, Key], Array],
+    mean: Callable[[Mapping[str, float], Key, int], Any],
     start: Mapping[str, float],
     bounds: Mapping[str, tuple[float, float]],
     *,
@@ -47,7 +46,7 @@ def search(
     """Search for the parameters with the least mean loss, all of them positive.
 
     Args:
-        loss: `(params, key) -> []` of one realization.
+        mean: `(params, key, realizations) -> []`, the mean loss.
         start: the first try.
         bounds: least and largest value of each parameter; drawn on a logarithmic scale.
         key: of all realizations, and of the sampler.
@@ -72,17 +71,14 @@ def search(
     losses: list[float] = []
     best, means = [], []
 
-    def mean(params: dict[str, float], key: Key, realizations: int) -> float:
-        return float(mean_loss(loss, params, key=key, realizations=realizations).mean)
-
     def evaluate(number: int) -> None:
         best.append(number)
-        means.append(mean(tried[number], held_out, holdout))
+        means.append(float(mean(tried[number], held_out, holdout)))
 
     for done in range(1, steps + 1):
         trial = study.ask(distributions)
         tried.append(dict(trial.params))
-        losses.append(mean(tried[-1], jax.random.fold_in(fresh, done), batch))
+        losses.append(float(mean(tried[-1], jax.random.fold_in(fresh, done), batch)))
         study.tell(trial, losses[-1])
         if done == 1:
             evaluate(0)

@@ -6,7 +6,7 @@ score is the estimator as people use it, with hard memberships and peaks.
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ from jaxtrack.hough import Grid, Sizes, neutrosophic
 from jaxtrack.hough.votes import evaluate, gaussian
 from jaxtrack.metrics import initiation_scores, line_distance
 from jaxtrack.sensors import Scene, crossing_targets, observe
+from jaxtrack.studies.tuned_ways import Score, Settings
 from jaxtrack.tuning import candidate_softmax
 from jaxtrack.types import Array, Key, Lines, Scan
 
@@ -27,28 +28,18 @@ _DETECTIONS = 32
 _SIZES = Sizes(lines=8, pairs=192, predecessors=24, candidates=256)
 _RULES = neutrosophic.Rules("spread")
 
-Eps = dict[str, Any]
-"""`eps_rho_m` and `eps_theta_rad`: numbers, or arrays of as many settings as are tried."""
 
-
-class Score(NamedTuple):
-    """Whether the three strongest lines are the three targets, for each setting."""
-
-    top_3: Array  # [P, match]
-    overflow: Array  # [] some table was too small
-
-
-def paper() -> Eps:
+def paper() -> dict[str, Any]:
     """Return the paper's tolerances, which are the library's defaults as well."""
     params = neutrosophic.NeutrosophicParams()
     return {"eps_rho_m": params.eps_rho_m, "eps_theta_rad": params.eps_theta_rad}
 
 
 @functools.cache
-def loss_from(origin: str) -> Callable[[Eps, Key], Array]:
+def loss_from(origin: str) -> Callable[[Settings, Key], Array]:
     """Return the loss of one scene with ρ measured from a place, the same object every time."""
 
-    def loss(eps: Eps, key: Key) -> Array:
+    def loss(eps: Settings, key: Key) -> Array:
         scene, scans = _simulate(key)
         grid = Grid(ORIGINS[origin])
         params = neutrosophic.NeutrosophicParams(grid)._replace(**eps)
@@ -76,40 +67,24 @@ def loss_from(origin: str) -> Callable[[Eps, Key], Array]:
 
 
 @functools.cache
-def score_of(match_m: tuple[float, ...] = MATCH_M) -> Callable[[Key, Any], Score]:
-    """Return the score of one scene, `(key, (origin, eps of [P])) -> Score`."""
+def score_from(origin: str) -> Callable[[Settings, Key], Score]:
+    """Return the score of one scene: whether the three strongest lines are not the three targets.
 
-    def score(key: Key, params: tuple[Array, Eps]) -> Score:
-        origin, eps = params
+    Its measures are the two distances at which a line is a target's.
+    """
+
+    def score(eps: Settings, key: Key) -> Score:
         scene, scans = _simulate(key)
         there = jnp.asarray(scene.truth.mask).all(0)
-
-        def one(eps: Eps) -> tuple[Array, Array]:
-            params = neutrosophic.NeutrosophicParams(Grid(origin))._replace(**eps)
-            lines, info = neutrosophic.estimate(scans, params, sizes=_SIZES, rules=_RULES)
-            right = [
-                initiation_scores(lines, _paths(scene), there, match_m=m, gate=0.0).top_k
-                for m in match_m
-            ]
-            return jnp.stack(right), info.overflow
-
-        top_3, overflow = jax.lax.map(one, eps)
-        return Score(top_3, overflow.any())
+        params = neutrosophic.NeutrosophicParams(Grid(ORIGINS[origin]))._replace(**eps)
+        lines, info = neutrosophic.estimate(scans, params, sizes=_SIZES, rules=_RULES)
+        right = [
+            initiation_scores(lines, _paths(scene), there, match_m=m, gate=0.0).top_k
+            for m in MATCH_M
+        ]
+        return Score(1.0 - jnp.stack(right).astype(jnp.result_type(float)), info.overflow)
 
     return score
-
-
-@functools.cache
-def missed_from(origin: str) -> Callable[[Eps, Key], Array]:
-    """Return what counts as a loss, for searches that need no gradient: 1 − top 3 at 50 m."""
-    score = score_of(MATCH_M[:1])
-
-    def loss(eps: Eps, key: Key) -> Array:
-        one = jax.tree.map(lambda x: jnp.asarray(x)[None], eps)
-        top_3 = score(key, (jnp.asarray(ORIGINS[origin]), one)).top_3
-        return 1.0 - top_3[0, 0].astype(jnp.result_type(float))
-
-    return loss
 
 
 def _simulate(key: Key) -> tuple[Scene, Scan]:

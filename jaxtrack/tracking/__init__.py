@@ -25,6 +25,7 @@ from jaxtrack.tracking.lifecycle import (
     empty_table,
     grade,
 )
+from jaxtrack.tracking.lives import Lives, hard_lives, soft_lives
 from jaxtrack.tracking.moment_tracker import (
     MomentParams,
     MomentTrackerInfo,
@@ -44,6 +45,7 @@ from jaxtrack.tracking.shape_tracker import (
     shape_tracker,
 )
 from jaxtrack.tracking.sliding import SlidingInfo, sliding
+from jaxtrack.tracking.soft_lifecycle import Softness
 from jaxtrack.tracking.track import TRACKERS, TrackInfo, track
 from jaxtrack.tracking.window import METHODS, WindowInfo, initiate_window
 
@@ -64,6 +66,7 @@ __all__ = [
     "KalmanTrackerParams",
     "KalmanTrackerState",
     "LifecycleParams",
+    "Lives",
     "Models",
     "MomentParams",
     "MomentTrackerInfo",
@@ -76,6 +79,7 @@ __all__ = [
     "ShapeTrackerInfo",
     "ShapeTrackerState",
     "SlidingInfo",
+    "Softness",
     "TrackInfo",
     "TrackTable",
     "WindowInfo",
@@ -83,6 +87,7 @@ __all__ = [
     "detect_in_pings",
     "empty_table",
     "grade",
+    "hard_lives",
     "hough_tracker",
     "initiate",
     "initiate_window",
@@ -97,6 +102,7 @@ __all__ = [
     "shape_template",
     "shape_tracker",
     "sliding",
+    "soft_lives",
     "straight_filter",
     "track",
 ]

@@ -6,6 +6,7 @@ claims starts a tentative track at its place, of unknown velocity; M of N looks 
 in a row delete it (`tracking.lifecycle`).
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -16,8 +17,6 @@ from jaxtrack.association import (
     ASSOCIATORS,
     AssociationParams,
     Associator,
-    gate,
-    gated_once,
     in_turn,
     likelihood_ratios,
 )
@@ -34,19 +33,10 @@ from jaxtrack.numerics.checks import (
 )
 from jaxtrack.numerics.safe import as_float, safe_log
 from jaxtrack.tracking.filters import Filter, straight_filter
-from jaxtrack.tracking.lifecycle import (
-    Births,
-    LifecycleParams,
-    TrackTable,
-    admit,
-    check_lifecycle,
-    empty_table,
-    grade,
-)
+from jaxtrack.tracking.lifecycle import LifecycleParams, check_lifecycle
+from jaxtrack.tracking.lives import Lives, Looked, hard_lives
 from jaxtrack.tracking.sight import COUNTS, Detect, everywhere
 from jaxtrack.types import Array, Estimator, Key, Scan, Stage, Tracks
-
-_SEEN = 0.5  # share of a track's weight on detections from which a look counts as a hit
 
 
 class KalmanTrackerParams(NamedTuple):
@@ -67,7 +57,7 @@ class KalmanTrackerParams(NamedTuple):
 class KalmanTrackerState(NamedTuple):
     """What the next look needs."""
 
-    table: TrackTable
+    table: Any  # a TrackTable, or that of other lives
     beliefs: Any  # [T, …] the filter's
     key: Key  # of the sampled associators
 
@@ -91,6 +81,7 @@ def kalman_tracker(
     confirm_looks: int = 5,
     filter: Filter[Any] | None = None,
     p_detect: Detect | None = None,
+    lives: Callable[[Array | float, LifecycleParams], Lives] | None = None,
 ) -> Estimator[Any, KalmanTrackerState, KalmanTrackerInfo]:
     """Return a tracker of many targets, as an estimator over `Scan`, or over the filter's looks.
 
@@ -106,6 +97,8 @@ def kalman_tracker(
             one's own; None: `straight_filter` with the params' numbers, which no other one reads.
         p_detect: share of `params.p_detect` at a place in a look, for sensors that do not see
             everywhere; None: 1. Where it is next to nothing a look is no miss.
+        lives: how tracks live, of `params.gate` and `params.lifecycle`; None: `hard_lives`.
+            `soft_lives` are differentiable.
 
     Returns:
         An estimator. A look that is not valid changes nothing; a full table turns candidates away
@@ -140,6 +133,7 @@ def kalman_tracker(
     numbers = params.sigma_m, params.sigma_a_m_s2, params.birth_sigma_m_s, params.birth_sigma_m
     of: Filter[Any] = straight_filter(*numbers) if filter is None else filter
     sees = everywhere if p_detect is None else p_detect
+    way = (hard_lives if lives is None else lives)(params.gate, params.lifecycle)
 
     dtype = as_float(params.sigma_m).dtype
 
@@ -148,11 +142,11 @@ def kalman_tracker(
         nowhere = Scan(zero, jnp.asarray(False), jnp.zeros((max_tracks, 2), dtype), none)
         beliefs = of.start(nowhere)
         size = of.moments(beliefs).mean.shape[1]
-        table = empty_table(zero, tracks=max_tracks, state=size, looks=confirm_looks)
+        table = way.empty(zero, tracks=max_tracks, state=size, looks=confirm_looks)
         return KalmanTrackerState(table, jax.tree.map(jnp.zeros_like, beliefs), key)
 
     def step(state: KalmanTrackerState, scan: Any) -> tuple[KalmanTrackerState, KalmanTrackerInfo]:
-        table, tracks = state.table, state.table.tracks
+        tracks = way.tracks(state.table)
         number = lambda x: jnp.asarray(x, dtype)
         check_mask("scan.valid", scan.valid, shape=())
         check_mask("scan.mask", scan.mask, shape=("N",))
@@ -163,7 +157,7 @@ def kalman_tracker(
         time_s = jnp.where(look.valid, look.time_s, tracks.time_s)
         dt_s = jnp.where(tracks.mask.any(), time_s - tracks.time_s, 0.0)
         moved = _where(tracks.mask, of.predict(state.beliefs, dt_s), state.beliefs)
-        predicted = gated_once(of.measure(moved, scan, tracks.mask), look, number(params.gate))
+        predicted = way.gated(of.measure(moved, scan, tracks.mask), look)
         detect = number(params.p_detect) * jnp.ones(max_tracks, dtype)
         detect = detect * jax.vmap(sees, (0, None))(of.moments(moved).mean, scan)
         known = AssociationParams(
@@ -175,7 +169,6 @@ def kalman_tracker(
         learnt = of.update(moved, predicted, look, found, update)
         mean, covariance = of.moments(learnt)
 
-        claimed = found.weight.sum(1)
         ratio, miss = likelihood_ratios(predicted, look, known)
         ratio = jnp.where(confirmed[:, None], ratio, ratio * left[None, :])
         counted = look.valid & tracks.mask & (detect > COUNTS)
@@ -188,22 +181,22 @@ def kalman_tracker(
             log_score=score,
             existence=jnp.where(tracks.mask, jax.nn.sigmoid(score), 0.0),
         )
-        graded = grade(
-            table._replace(tracks=updated), claimed >= _SEEN, counted, look.valid, params.lifecycle
-        )
-        held = gate(predicted, look, known.gate).inside & confirmed[:, None]
-        free = _unclaimed(look, found.weight, held.any(0))
-        weight = jnp.ones(free.shape, dtype) if look.weight is None else look.weight
         started = of.start(look)
-        births = Births(*of.moments(started), free, safe_log(jnp.where(free, weight, 1.0)))
-        admitted, full, source = admit(graded, births, params.lifecycle)
-        kept = _where(graded.tracks.mask, learnt, jax.tree.map(jnp.zeros_like, learnt))
-        beliefs = _where(source >= 0, jax.tree.map(lambda x: x[source], started), kept)
+        looked = Looked(updated, predicted, look, found.weight, counted, of.moments(started))
+        lived = way.live(state.table, looked)
+        table = way.tracks(lived.table)
+        kept = _where(table.mask, learnt, jax.tree.map(jnp.zeros_like, learnt))
+        beliefs = _where(lived.source >= 0, jax.tree.map(lambda x: x[lived.source], started), kept)
         after, beliefs, key = choose(
-            look.valid, (admitted, beliefs, key), (table, state.beliefs, state.key)
+            look.valid, (lived.table, beliefs, key), (state.table, state.beliefs, state.key)
         )
         info = KalmanTrackerInfo(
-            after.tracks, found.weight, free, full & look.valid, found.converged, beliefs
+            way.tracks(after),
+            found.weight,
+            lived.free,
+            lived.full & look.valid,
+            found.converged,
+            beliefs,
         )
         return KalmanTrackerState(after, beliefs, key), info
 
@@ -220,14 +213,6 @@ def _where(slots: Array, yes: TreeT, no: TreeT) -> TreeT:
     """Return one of two tables for each slot [T]."""
     pick = lambda a, b: jnp.where(slots.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
     return jax.tree.map(pick, yes, no)
-
-
-def _unclaimed(look: Scan, weight: Array, held: Array) -> Array:
-    """Return which detections start a track, [N]."""
-    counts = look.mask & look.valid
-    if look.weight is not None:
-        counts = counts & (jnp.where(counts, look.weight, 0.0) > 0)
-    return counts & ~held & (weight.sum(0) < _SEEN)
 
 
 def _check(params: KalmanTrackerParams, confirm_looks: int) -> None:

@@ -157,7 +157,7 @@ def grade(
     graded = table._replace(
         tracks=tracks._replace(stage=stage), hit=history, misses=misses, unseen=unseen
     )
-    return _only(graded, keep)
+    return only(graded, keep)
 
 
 def admit(table: TrackTable, births: Births, params: LifecycleParams) -> Admission:
@@ -212,7 +212,7 @@ def admit(table: TrackTable, births: Births, params: LifecycleParams) -> Admissi
         existence=fill(jnp.zeros_like(tracks.existence), tracks.existence),
         log_score=fill(births.log_score[source], tracks.log_score),
     )
-    first_hit = jnp.zeros_like(table.hit).at[:, -1].set(True)
+    first_hit = jnp.zeros_like(table.hit).at[:, -1].set(jnp.ones_like(table.hit[:, -1]))
     number = taken.sum(dtype=jnp.int32)
     after = TrackTable(
         admitted,
@@ -224,8 +224,18 @@ def admit(table: TrackTable, births: Births, params: LifecycleParams) -> Admissi
     return Admission(after, wanted > number, jnp.where(taken, source, -1))
 
 
-def _only(table: TrackTable, keep: Array) -> TrackTable:
-    """Return the table with the slots of all other tracks empty."""
+def only(table: TrackTable, keep: Array) -> TrackTable:
+    """Return the table with the slots of all other tracks empty.
+
+    Args:
+        table: M slots.
+        keep: [M] which of them stay as they are.
+
+    Example:
+        >>> table = empty_table(jnp.asarray(0.0), tracks=1, state=4, looks=3)
+        >>> print(only(table, jnp.zeros(1, bool)).tracks.identity)
+        [-1]
+    """
     clear = lambda x, empty: jnp.where(
         keep.reshape(-1, *(1,) * (x.ndim - 1)), x, jnp.asarray(empty, x.dtype)
     )

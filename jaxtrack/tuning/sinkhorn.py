@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack.metrics.cutoff import cutoff_costs, safe_power
-from jaxtrack.numerics.checks import check_array, check_positive, check_size
+from jaxtrack.numerics.checks import check_array, check_known, check_positive, check_size
 from jaxtrack.numerics.masked import masked_logsumexp, masked_sum
 from jaxtrack.numerics.safe import safe_log
 from jaxtrack.types import Array
@@ -29,10 +29,11 @@ def sinkhorn_ospa(
     order: Any,
     temperature: Any,
     iterations: int = 100,
+    existence: Any = None,
 ) -> SinkhornOspa:
-    """Measure OSPA with the assignment smoothed by entropy.
+    """Measure OSPA with the assignment smoothed by entropy, of estimates that may exist in part.
 
-    With m estimates, n truths, N = max(m, n), C = (min(c, d) / c)^p in [0, 1], a stand-in of cost 1
+    With m estimates (m = Σ r where they exist by shares r), n truths, N = max(m, n, 1), C = (min(c, d) / c)^p in [0, 1], a stand-in of cost 1
     for each member that one set has less, and P over the matrices with row sums a, column sums b:
 
         distance^p = c^p / N · min_P Σ P C + T Σ P log(P N / (a bᵀ))
@@ -40,12 +41,12 @@ def sinkhorn_ospa(
     At T = 0 that is OSPA, whose optimal P are assignments. The entropy of one is at most N log N,
     and roots of order p ≥ 1 are concave, so
 
-        0 ≤ distance − OSPA ≤ c (T log N)^(1/p)
+        0 ≤ distance − OSPA ≤ c (T log ⌈N⌉)^(1/p)
 
     at the minimum. Sinkhorn's iterations come to it from below and miss its p-th power by at most
-    c^p r / N, with r the sum of |row sums of P − a|; so after any number of them
+    c^p e / N, with e the sum of |row sums of P − a|; so after any number of them
 
-        |distance − OSPA| ≤ bound = c max(T log N, r / N)^(1/p)
+        |distance − OSPA| ≤ bound = c max(T log ⌈N⌉, e / N)^(1/p)
 
     Args:
         estimates: [M, D] points, in the unit of `cutoff`.
@@ -57,6 +58,8 @@ def sinkhorn_ospa(
         temperature: T > 0, of the powered costs in units of c^p. Where it is small, more
             iterations are needed, about 1 / T at the worst.
         iterations: static.
+        existence: [M] r in [0, 1], the mass of each estimate; None: 1. OSPA at T = 0 is then the
+            optimal transport of the masses, and grows smoothly with the number of estimates.
 
     Raises:
         ValueError: shapes do not fit, or a known value that cannot be.
@@ -72,7 +75,7 @@ def sinkhorn_ospa(
     Source:
         M. Cuturi, "Sinkhorn Distances: Lightspeed Computation of Optimal Transport", 2013. The
         error of iterations that are stopped early follows from the dual being concave: it is at
-        most half of r times the span of the potentials' error, and potentials span at most 1 each.
+        most half of e times the span of the potentials' error, and potentials span at most 1 each.
     """  # noqa: E501
     check_array("temperature", temperature, shape=())
     iterations = check_size("iterations", iterations)
@@ -81,9 +84,14 @@ def sinkhorn_ospa(
     temperature = check_positive("temperature", temperature, dtype)
 
     masses = [mask.astype(dtype) for mask in (costs.estimates_mask, costs.truths_mask)]
+    if existence is not None:
+        check_array("existence", existence, shape=jnp.shape(estimates_mask))
+        check_known("existence", existence, lambda r: (r >= 0) & (r <= 1), "shares from 0 to 1")
+        shares = jnp.where(jnp.asarray(estimates_mask, bool), jnp.asarray(existence, dtype), 0.0)
+        masses[0] = jnp.pad(shares, (0, masses[0].shape[0] - shares.shape[0]))
     larger = jnp.where(masses[0].sum() > masses[1].sum(), masses[0].sum(), masses[1].sum())
-    # Two empty sets are two stand-ins, for which the corner has cost 0; else one of them is none.
-    total = jnp.where(larger > 0, larger, 1.0)
+    # Where less than one member is there both sets have stand-ins, for which the corner has cost 0.
+    total = jnp.where(larger > 1, larger, 1.0)
     rows, columns = (jnp.append(mass, total - mass.sum()) for mass in masses)
     cost = jnp.pad(costs.cost, ((0, 1), (0, 1)), constant_values=1.0).at[-1, -1].set(0.0)
 
@@ -104,7 +112,7 @@ def sinkhorn_ospa(
     # One more half step moves a row's potential by T log(row sum / mass).
     off = jnp.expm1((left - potential(cost, columns, right)) / temperature)
     missed = masked_sum(rows * jnp.abs(off), rows > 0) / total
-    entropic = temperature * jnp.log(total)
+    entropic = temperature * jnp.log(jnp.ceil(total))
     bound = safe_power(jnp.where(missed > entropic, missed, entropic), 1.0 / costs.order)
     return SinkhornOspa(
         distance=costs.cutoff * safe_power(powered / total, 1.0 / costs.order),

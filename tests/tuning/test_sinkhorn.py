@@ -26,6 +26,16 @@ def smooth(iterations=100):
 
 
 @functools.cache
+def in_part():
+    def distance(x, xm, y, ym, cutoff, order, temperature, share):
+        return sinkhorn_ospa(
+            x, xm, y, ym, cutoff=cutoff, order=order, temperature=temperature, existence=share
+        )
+
+    return jax.jit(distance)
+
+
+@functools.cache
 def exact():
     return jax.jit(lambda *sets: ospa(*sets[:4], cutoff=sets[4], order=sets[5]).distance)
 
@@ -61,6 +71,49 @@ def test_the_exact_distance_is_within_the_bound_however_early_it_stops(iteration
             assert error <= float(got.bound) * (1 + 1e-9) + 1e-9
             close += error > 0.9 * float(got.bound) > 0
     assert close > 0  # a bound that is never nearly met would say little
+
+
+@pytest.mark.parametrize("order", [1.0, 2.0])
+def test_estimates_that_exist_in_part_are_masses(order):
+    # Four copies of each truth, and a copy of an estimate for each quarter of it.
+    close = 0
+    for seed in range(12):
+        x, xm, y, ym = sets(seed, there=0.8)
+        quarters = np.random.default_rng(seed).integers(0, 5, ROWS) * xm
+        copies = np.repeat(x, 4, axis=0), np.repeat(y, 4, axis=0)
+        there = (np.arange(4) < quarters[:, None]).ravel(), np.repeat(ym, 4)
+        if max(there[0].sum(), there[1].sum()) < 4:
+            continue  # OSPA has no less than one member
+        got = in_part()(x, xm, y, ym, 8.0, order, 0.02, quarters / 4)
+        expected = exact()(copies[0], there[0], copies[1], there[1], 8.0, order)
+        error = abs(float(got.distance - expected))
+        assert error <= float(got.bound) + 1e-9
+        close += error < 0.5
+    assert close > 5
+
+
+def test_existence_of_one_is_none_and_of_nothing_alone_counts_smoothly():
+    x, xm, y, ym = sets(3)
+    whole = in_part()(x, xm, y, ym, 8.0, 2.0, 0.1, np.ones(ROWS))
+    np.testing.assert_allclose(whole, smooth()(x, xm, y, ym, 8.0, 2.0, 0.1), rtol=1e-12)
+    none = np.zeros_like(ym)
+    one = np.arange(ROWS) == 0
+    for share in (0.0, 0.3, 1.0):
+        alone = in_part()(np.nan_to_num(x), one, y, none, 8.0, 1.0, 1e-3, share * one)
+        np.testing.assert_allclose(alone.distance, 8.0 * share, atol=0.05)
+
+
+def test_the_slope_in_the_existence_equals_differences():
+    x, xm, y, ym = sets(11)
+    points = np.nan_to_num(x)
+
+    def loss(share):
+        return in_part()(points, xm, y, ym, 8.0, 2.0, 0.1, share).distance
+
+    for share in ([0.3, 0.8, 0.6, 0.4], [0.9, 0.1, 0.2, 0.3]):
+        (slope,) = assert_gradients_agree(loss, np.array(share), rtol=1e-5, atol=1e-8)
+        assert np.abs(slope).max() > 1e-2
+        assert not slope[~xm].any()
 
 
 def test_it_is_never_below_and_tends_to_the_exact_distance():

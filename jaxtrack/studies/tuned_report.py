@@ -1,0 +1,175 @@
+"""Tables, marks and figures of the studies of tuning."""
+
+import pathlib
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from rich.table import Table
+
+from jaxtrack.studies.tables import (
+    Figure,
+    Mark,
+    Row,
+    grid_table,
+    mean_of,
+    number,
+    rate,
+    standard_error,
+)
+
+GRADIENT = "gradient"
+NEAR_BEST = Mark(3.0, at_least=False)  # standard errors above the best setting that is known
+SECONDS = Mark(120.0, at_least=False)
+
+
+class Words(NamedTuple):
+    """How a study speaks of its cases."""
+
+    titles: Mapping[str, str]  # by case
+    symbols: Mapping[str, tuple[str, str]]  # by parameter, with its unit
+    hand: Mapping[str, str]  # of the settings by hand
+    measures: tuple[str, ...]  # of the score
+    unit: str = ""  # of the score
+    shares: bool = False  # the table shows 1 − score
+
+
+def table(scores: xr.Dataset, case: str, words: Words) -> Table:
+    """Return every setting with its score, the standard error of that, and what it cost."""
+    here = scores.sel(case=case)
+    budget = int(scores.realizations.values[-1])
+    names, lines = [], []
+    for setting in map(str, here.setting.values):
+        values = here.params.sel(setting=setting).values
+        line = [
+            f"{value:.3g} {unit}".strip()
+            for value, (_, unit) in zip(values, words.symbols.values(), strict=True)
+        ]
+        for found in here.score.sel(setting=setting).values.T:
+            mean = 1 - found.mean() if words.shares else found.mean()
+            line.append(f"{number(float(mean))} ± {number(standard_error(found))}")
+        method, _, start = setting.partition(", ")
+        seconds = here.seconds.sel(tuner=method, start=start) if start else None
+        line += ["", ""] if seconds is None else [str(budget), number(float(seconds), "s")]
+        names.append(words.hand.get(setting, setting))
+        lines.append(line)
+    symbols = [symbol for symbol, _ in words.symbols.values()]
+    columns = [*symbols, *words.measures, "realizations", "time"]
+    title = f"{words.titles[case]}, held-out scenes"
+    return grid_table(title, names, columns, lines, trials=here.sizes["trial"])
+
+
+def near_best(scores: xr.Dataset, case: str, words: Words) -> list[Row]:
+    """Return how near the gradient comes to the best setting known, and what it gains.
+
+    The best is chosen on the very scenes: a little too good, which is to the others' disadvantage.
+    """
+    here = scores.score.sel(case=case).isel(measure=0).astype(np.float64)
+    best = str(here.setting.values[here.mean("trial").values.argmin()])
+    default = str(here.setting.values[0])
+    tuners = [str(tuner) for tuner in scores.tuner.values]
+    of = lambda setting: here.sel(setting=setting).values
+    rows = []
+    for start in map(str, scores.start.values):
+        above = of(f"{GRADIENT}, {start}") - of(best)
+        error = standard_error(above)
+        ratio = above.mean() / error if error > 0 else 0.0
+        what = f"{case}: from {start}, standard errors above the best ({best})"
+        rows.append(Row(what, exact(float(ratio), len(above)), mark=NEAR_BEST))
+    for start in map(str, scores.start.values):
+        gain = of(default) - of(f"{GRADIENT}, {start}")
+        rows.append(
+            Row(f"{case}: from {start}, better than the default by", mean_of(gain, words.unit))
+        )
+    for tuner in tuners:
+        if tuner != GRADIENT:
+            starts = [str(start) for start in scores.start.values]
+            mean = lambda name, starts=starts: np.mean([of(f"{name}, {s}") for s in starts], axis=0)
+            gain = mean(tuner) - mean(GRADIENT)
+            rows.append(Row(f"{case}: gradient better than {tuner} by", mean_of(gain, words.unit)))
+    return rows
+
+
+def costs(scores: xr.Dataset) -> list[Row]:
+    """Return the slowest tuning by gradient, and how often a table was too small."""
+    rows = []
+    seconds = scores.seconds.sel(tuner=GRADIENT).values
+    if np.isfinite(seconds).any():  # what was interrupted has no time
+        slowest = exact(float(np.nanmax(seconds)), scores.sizes["trial"], "s")
+        rows.append(Row("slowest tuning, compilation included", slowest, mark=SECONDS))
+    for setting in (str(scores.setting.values[0]), f"{GRADIENT}, {scores.start.values[0]}"):
+        full = scores.overflow.sel(setting=setting).values
+        rows.append(
+            Row(f"scenes in which a table was full: {setting}", rate(full.sum(), full.size))
+        )
+    return rows
+
+
+def exact(value: float, trials: int, unit: str = "") -> Figure:
+    """Return a number that is no mean over trials."""
+    return Figure(value, value, value, trials, unit)
+
+
+def draw(
+    out: pathlib.Path,
+    scores: xr.Dataset,
+    maps: Mapping[str, xr.Dataset],
+    ways: Mapping[tuple[str, str, str], Any],
+    fits: Mapping[tuple[str, str], Any],
+    words: Words,
+    progress: Callable[[int, int], None],
+) -> None:
+    """Draw the maps with the ways, a fit's history, and scores against realizations, into `out`."""
+    from jaxtrack import plots
+
+    cases, starts = ([str(name) for name in scores[axis].values] for axis in ("case", "start"))
+    names = [str(name) for name in scores.parameter.values]
+    total = 2 * len(cases) + 1
+    label = lambda name: ", ".join(filter(None, words.symbols[name]))
+    for done, case in enumerate(cases):
+        landscape = maps[f"map, {case}"].loss
+        axes = [str(axis) for axis in landscape.dims]
+        at = [names.index(axis) for axis in axes]
+        params = scores.params.sel(case=case)
+        figure = plots.loss_map(
+            landscape[axes[0]].values,
+            landscape[axes[1]].values,
+            landscape.values,
+            {f"from {start}": ways[case, GRADIENT, start].steps[:, at] for start in starts},
+            x_label=label(axes[0]),
+            y_label=label(axes[1]),
+            points={
+                setting: tuple(params.sel(setting=setting, parameter=axes).values)
+                for setting in map(str, params.setting.values)
+                if setting.startswith("TPE, ")
+            },
+            title=f"{words.titles[case]}: the loss, and the gradient's ways",
+        )
+        figure.savefig(out / f"map_{case}.png", dpi=150)
+        progress(2 * done + 1, total)
+        title = f"{words.titles[case]}, from {starts[0]}"
+        figure = plots.fit_history(fits[case, starts[0]], title=title)
+        figure.savefig(out / f"fit_{case}.png", dpi=150)
+        progress(2 * done + 2, total)
+    plain = scores.realizations.values.astype(float)
+    panels = {}
+    for case in cases:
+        way = scores.score_on_the_way.sel(case=case)
+        panels[words.titles[case]] = {
+            str(tuner): (
+                plain,
+                way.sel(tuner=tuner).mean("start").values,
+                way.sel(tuner=tuner).std("start", ddof=1).values / np.sqrt(len(starts)),
+            )
+            for tuner in scores.tuner.values
+        }
+    measure = ("1 − " if words.shares else "") + words.measures[0].replace("\n", " ")
+    figure = plots.error_curves(
+        panels,
+        x_label="realizations simulated",
+        y_label=f"{measure}, held out",
+        title="Mean of the starts, with two standard errors over them",
+    )
+    figure.savefig(out / "score_by_realizations.png", dpi=150)
+    progress(total, total)

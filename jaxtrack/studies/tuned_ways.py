@@ -1,0 +1,178 @@
+"""What the studies of tuning share: settings found by gradient and by Optuna's TPE, and scored.
+
+From each start a tuning goes down the gradient of a smooth loss; beside it stands Optuna's TPE from
+the same start at the same number of simulated realizations, on the same loss and on the score
+itself. Every setting on every way is scored on the same scenes, which none of them saw.
+
+Three programs are compiled for a case: the loss, its gradient, the score.
+"""
+
+import functools
+import time
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from jaxtrack.montecarlo import MonteCarlo
+from jaxtrack.studies import parts, tpe
+from jaxtrack.studies.registry import Context
+from jaxtrack.tuning import FitResult, fit, mean_loss
+from jaxtrack.types import Array, Key
+
+GRADIENT, TPE, TPE_SCORE = "gradient", "TPE", "TPE on the score"
+_LEARNING_RATE = 0.2
+_FITS = 0  # stream of random keys
+
+Settings = Mapping[str, Any]
+"""What is tuned: a number by name."""
+
+
+class Score(NamedTuple):
+    """What counts in one scene, less being better."""
+
+    value: Array  # [measure]
+    overflow: Array  # [] some table was too small
+
+
+class Case(NamedTuple):
+    """One thing to tune."""
+
+    loss: Callable[[Settings, Key], Array]  # smooth; the same object every time, as the score
+    score: Callable[[Settings, Key], Score]
+    hand: Mapping[str, Settings]  # settings to compare with, the default first
+    starts: Mapping[str, Settings]
+    bounds: Mapping[str, tuple[float, float]]  # what TPE may try; and the map shows
+    bijectors: Any  # of the settings, as `fit` takes them
+    axes: tuple[str, str]  # of the map
+    clip: float | None = None  # of the gradient's norm: one wild realization stops Adam for long
+
+
+class Effort(NamedTuple):
+    """How much a tuning may simulate."""
+
+    steps: int
+    batch: int
+    holdout: int
+    every: int
+    grid: int  # points of the map, a side
+    scenes: int  # of the map
+
+
+class Way(NamedTuple):
+    """How one method went from one start, evaluation by evaluation."""
+
+    realizations: np.ndarray  # [E] simulated so far
+    best: np.ndarray  # [E, P] the best so far, by the held-out realizations
+    seconds: float  # compilation included; NaN of a run that was interrupted
+    steps: np.ndarray  # [S, P] everything tried
+
+
+Ways = dict[tuple[str, str, str], Way]
+"""By case, method and start."""
+
+
+def tune_all(
+    context: Context, effort: Effort, cases: Mapping[str, Case]
+) -> tuple[Ways, dict[tuple[str, str], FitResult]]:
+    """Return every tuning's way, and the fits of those by gradient, by case and start."""
+    ways, fits = {}, {}
+    for place, (name, case) in enumerate(cases.items()):
+        searches = {
+            TPE: lambda *at, case=case: run_mean(case.loss, *at).mean,
+            TPE_SCORE: lambda *at, case=case: run_mean(case.score, *at).mean.value[0],
+        }
+        for number, start in enumerate(case.starts):
+            key = context.key(_FITS, place, number)
+            ways[name, GRADIENT, start], fits[name, start] = _descend(
+                context, effort, case, f"{GRADIENT}, {name}, {start}", key, case.starts[start]
+            )
+            for method, mean in searches.items() if tpe.is_installed() else ():
+                what = f"{method}, {name}, {start}"
+                ways[name, method, start] = _search(
+                    context, effort, case, what, mean, key, case.starts[start]
+                )
+    return ways, fits
+
+
+def _descend(
+    context: Context, effort: Effort, case: Case, what: str, key: Key, start: Settings
+) -> tuple[Way, FitResult]:
+    folder = parts.folder_of(context, what)
+    again = folder.exists()
+
+    def tuned() -> FitResult:
+        return fit(
+            case.loss,
+            start,
+            optax.adam(optax.cosine_decay_schedule(_LEARNING_RATE, effort.steps)),
+            key=key,
+            steps=effort.steps,
+            batch=effort.batch,
+            holdout=effort.holdout,
+            bijectors=case.bijectors,
+            clip=case.clip,
+            every=effort.every,
+            micro_batch=1,
+            checkpoint=folder,
+            progress=functools.partial(context.progress, what),
+        )
+
+    def timed() -> float:
+        began = time.perf_counter()
+        tuned()
+        return np.nan if again else time.perf_counter() - began
+
+    seconds = parts.keep_part(context, f"{what}, seconds", timed, 0.0, key, effort.steps, start)
+    result = tuned()  # what stands in the folder
+    history = result.history
+    best = [int(np.argmin(history.held_out[: n + 1])) for n in range(len(history.held_out))]
+    steps = np.stack([history.params[name] for name in case.bounds], axis=-1)
+    at = history.evaluated[best]
+    return Way(history.realizations, steps[at], float(seconds), steps), result
+
+
+def _search(
+    context: Context,
+    effort: Effort,
+    case: Case,
+    what: str,
+    mean: Callable[..., Any],
+    key: Key,
+    start: Settings,
+) -> Way:
+    report = functools.partial(context.progress, what)
+    sizes = effort._asdict()
+    budget = {name: sizes[name] for name in ("steps", "batch", "holdout", "every")}
+
+    def searched() -> tuple[tpe.Search, float]:
+        began = time.perf_counter()
+        found = tpe.search(mean, start, case.bounds, key=key, progress=report, **budget)
+        return found, time.perf_counter() - began
+
+    like = tpe.Search(dict.fromkeys(case.bounds, 0), *(0, 0, 0)), 0.0  # pyright: ignore
+    found, seconds = parts.keep_part(context, what, searched, like, key, effort.steps, budget)
+    steps = np.stack([found.tried[name] for name in case.bounds], axis=-1)
+    best = [int(np.argmin(found.held_out[: n + 1])) for n in range(len(found.held_out))]
+    evaluations = np.arange(len(best))
+    done = np.minimum(evaluations * effort.every, effort.steps)
+    realizations = done * effort.batch + (evaluations + 1) * effort.holdout
+    return Way(realizations, steps[found.best[best]], float(seconds), steps)
+
+
+def named(names: Iterable[str], values: np.ndarray) -> dict[str, float]:
+    """Return numbers by their names."""
+    return {name: float(value) for name, value in zip(names, values, strict=True)}
+
+
+def run_mean(fn: Callable[..., Any], settings: Settings, key: Key, realizations: int) -> MonteCarlo:
+    """Return a loss or a score over realizations, by the program that `fit` compiles of a loss.
+
+    One by one: a batch of vote tables would leave the cache.
+    """
+    number = lambda x: np.asarray(x, jnp.result_type(float))  # else compiled anew
+    params = jax.tree.map(number, dict(settings))
+    return mean_loss(fn, params, key=key, realizations=realizations, micro_batch=1)
