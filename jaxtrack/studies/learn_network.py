@@ -7,6 +7,7 @@ loud clutter can be told from a loud echo in faint clutter. Needs Flax (extra `l
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from flax import nnx
 
@@ -73,9 +74,9 @@ def echo_network(
     params = nnx.to_pure_dict(state)
 
     def network(params: dict[str, Any], x: Array) -> Array:
-        state = nnx.state(nnx.merge(graph, fresh))
-        nnx.replace_by_pure_dict(state, params)
-        return nnx.merge(graph, state)(x)
+        # Its values are exchanged, its structure is what counts.
+        now = jax.tree.map(lambda value: value, state)
+        nnx.replace_by_pure_dict(now, params)
+        return nnx.merge(graph, now)(x)
 
-    fresh = state
     return params, network

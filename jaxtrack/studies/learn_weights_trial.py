@@ -1,9 +1,9 @@
 """What the study `learn_weights` simulates: looks with echoes, losses that train, scores that count.
 
-Targets before a forward-looking sonar whose beams report something every other time. How loud an
-echo is tells target from clutter, but the clutter comes in patches along the beams. The joint vote
-knows nothing of loudness: it takes a weight for every detection, and what gives the weights is
-compared.
+Targets before a forward-looking sonar without a threshold of its own: nearly every beam reports
+something. How loud an echo is tells target from clutter, but clutter comes in patches along the
+beams. The joint vote knows nothing of loudness: it takes a weight for every detection, and what
+gives the weights is compared.
 """
 
 import functools
@@ -20,6 +20,7 @@ from jaxtrack.metrics import ospa
 from jaxtrack.models import BEAMS, BeamSensor, BeamSonar
 from jaxtrack.numerics.masked import masked_logsumexp, masked_mean
 from jaxtrack.sensors import Echo, SonarSceneLimits, observe_known_beams, random_sonar_scene
+from jaxtrack.sensors.echoes import echo_amplitudes
 from jaxtrack.studies.learn_echoes import DEGREES, echo_log_ratio
 from jaxtrack.types import Array, BeamScan, Key, Truth
 
@@ -30,33 +31,38 @@ ECHO = Echo(snr_db=1.0, correlation_beams=12.0)
 SONAR = BeamSonar(p_miss=0.3, p_false=0.9, clutter_in_missed_beam=1.0)
 SPEED = SpeedGate(0.0, 6.0)
 CUTOFF_M, ORDER = 20.0, 2.0
-NEAR_M = 15.0  # trajectories so near a target's at both ends are its own
+# What is tried on scenes of their own, for every method alike.
+THRESHOLDS = (0.0, 0.4, 0.6, 0.8, 1.0)  # amplitudes; 0: all detections count alike
+BOOSTS = (3.0, 10.0, 30.0)
+GATES = (6.0, 8.0, 10.0, 12.0, 14.0, 17.0, 20.0)
+START_GATE, TRAINED_BOOST = 14.0, 10.0
+_NEAR_M = 15.0  # trajectories so near a target's at both ends are its own
 _SIZES = joint.JointSizes(4, 2048, candidates=128, starts=8, gap=6, samples=64)
-_FALSE = 64  # trajectories that a loss sets against the targets
+_RIVALS = 64  # trajectories that a loss sets against the targets
 _CLIMB = 3  # steps by which they are refined
 
-# Of the echoes that there are: 2 targets in 32 beams.
-_REPORTS = TARGETS * (1 - SONAR.p_miss), (BEAM_COUNT - TARGETS * (1 - SONAR.p_miss)) * SONAR.p_false
-SHARE = _REPORTS[0] / sum(_REPORTS)
+_EXPECTED = TARGETS * (1 - SONAR.p_miss)
+SHARE = _EXPECTED / (_EXPECTED + (BEAM_COUNT - _EXPECTED) * SONAR.p_false)  # of reports: targets'
 
-Weigh = Callable[[Any, BeamScan], Array]
-"""`(params, looks) -> log-odds [T, B]` that an echo is a target's rather than clutter."""
+Weights = dict[str, Any]
+"""What `fit` trains: a network's arrays, and for the tracker's loss the gate."""
+Network = Callable[[Any, BeamScan], Array]
+"""`(arrays, looks) -> [T, B]`, log p(echo | target) − log p(echo | clutter) as far as it knows."""
 
 
 class Window(NamedTuple):
-    """One realization, as all methods see it."""
+    """One realization."""
 
     scans: BeamScan
     truth: Truth
-    is_target: Array  # [T, B] labels
+    is_target: Array  # [T, B] the labels
 
 
 def simulate(key: Key) -> Window:
     """Return looks at targets that move straight, and which echoes are theirs."""
     scene, look = jax.random.split(key)
-    limits = SonarSceneLimits()
     (truth, pose, sonar), _ = random_sonar_scene(
-        scene, SONAR, limits, targets=TARGETS, looks=LOOKS, beams=BEAM_COUNT
+        scene, SONAR, SonarSceneLimits(), targets=TARGETS, looks=LOOKS, beams=BEAM_COUNT
     )
     scans, origin = observe_known_beams(
         look, truth, pose, sonar, beams=BEAM_COUNT, echo=ECHO, clutter_degrees=DEGREES
@@ -64,102 +70,170 @@ def simulate(key: Key) -> Window:
     return Window(scans, truth, origin >= 0)
 
 
-def true_log_ratio(_: Any, scans: BeamScan) -> Array:
+def true_log_ratio(scans: BeamScan) -> Array:
     """Return the true log-likelihood ratio of every echo: the ceiling."""
     assert scans.intensity is not None
     return echo_log_ratio(scans.intensity, scans.mask, ECHO, SHARE)
 
 
-def weighted(scans: BeamScan, log_ratio: Array, boost: Array) -> tuple[BeamScan, BeamSensor]:
+def weighted(scans: BeamScan, log_ratio: Array, boost: Any) -> tuple[BeamScan, BeamSensor]:
     """Return looks with weights w = Λ/(Λ + k), and the sensor that goes with them.
 
-    A detection of small weight counts w (1 − P_M) ρ_D N/P_F: with P_F/k in place of P_F that is Λ
-    times what it would count without an amplitude, as it should be. k bounds what one echo can say.
+    A detection of weight w adds w (1 − P_M) ρ_D N/P_F to a look's likelihood ratio. With P_F/k in
+    place of P_F and Λ ≪ k that is Λ times what it adds without an amplitude, as it should be; k
+    bounds what a single echo can say.
     """
-    weight = jax.nn.sigmoid(log_ratio - jnp.log(boost))
+    weight = jax.nn.sigmoid(log_ratio - jnp.log(jnp.asarray(boost, log_ratio.dtype)))
     sensor = BeamSensor(SONAR._replace(p_false=SONAR.p_false / boost))
     return scans._replace(weight=jnp.where(scans.mask, weight, 0.0)), sensor
 
 
-def label_loss(log_ratio: Array, window: Window) -> Array:
-    """Return the binary cross-entropy of the labels, the log-odds being Λ times the share's."""
-    logits = log_ratio + jnp.log(SHARE / (1 - SHARE))
-    signed = jnp.where(window.is_target, -logits, logits)
-    return masked_mean(jax.nn.softplus(signed), window.scans.mask)
+def label_loss(network: Network) -> Callable[[Weights, Key], Array]:
+    """Return the binary cross-entropy of the labels, the odds being Λ times those of the share."""
+    odds = jnp.log(SHARE / (1 - SHARE))
+
+    def loss(weights: Weights, key: Key) -> Array:
+        window = simulate(key)
+        logits = network(weights["network"], window.scans) + odds
+        signed = jnp.where(window.is_target, -logits, logits)
+        return masked_mean(jax.nn.softplus(signed).ravel(), window.scans.mask.ravel())
+
+    return loss
 
 
-def track_loss(log_ratio: Array, gate: Array, boost: Array, window: Window) -> Array:
-    """Return the cross-entropy of the joint vote's existence, σ(L − gate).
+def track_loss(network: Network) -> Callable[[Weights, Key], Array]:
+    """Return the cross-entropy of the joint vote's existence σ(L − gate), a window.
 
         Σ_k log(1 + e^(gate − L_k)) + log(1 + Σ_c e^(L_c − gate))
 
-    over the targets' true trajectories and the strongest of all that are none's, these with what
-    the targets explain taken out of the weights, as the joint vote takes it out.
+    over the targets k, at their true trajectories, and the strongest of the trajectories c through
+    two detections that are no target's. These are voted for with what the targets explain taken out
+    of the weights, as the joint vote takes it out. Which they are is a choice, and has no gradient.
     """
-    scans, sensor = weighted(window.scans, log_ratio, boost)
-    truth, there = window.truth.state[-1], window.truth.mask.any(0)
-    own = BEAMS.scores(truth, scans, sensor)
-    claim = lambda state: jax.vmap(lambda x, scan: BEAMS.responsibility(x, scan, sensor))(
-        along(state, scans), scans
-    )
-    claims = jnp.where(there[:, None, None], jax.vmap(claim)(truth), 0.0)
-    left = jnp.prod(1 - claims, axis=0)
-    rest = scans._replace(weight=scans.weight * left)
 
-    fixed, fixed_sensor = jax.lax.stop_gradient((rest, sensor))
-    start, some, _ = distant_pairs(
-        BEAMS.positions(fixed, fixed_sensor)._replace(weight=None),
-        SPEED,
-        gap=_SIZES.gap,
-        hypotheses=_SIZES.hypotheses,
-    )
-    wide = BEAMS.blur(fixed_sensor, 1.3)
-    score = jnp.where(some, BEAMS.scores(start, fixed, wide), -jnp.inf)
-    best = jax.lax.top_k(score, _FALSE)[1]
-    start, some = start[best], some[best]
+    def loss(weights: Weights, key: Key) -> Array:
+        window = simulate(key)
+        log_ratio = network(weights["network"], window.scans)
+        gate = jnp.asarray(weights["gate"], log_ratio.dtype)
+        scans, sensor = weighted(window.scans, log_ratio, TRAINED_BOOST)
+        truth = window.truth.state[-1]  # all targets are there
 
-    def climb(state: Array) -> Array:
-        step = lambda x, _: (BEAMS.refine(x, fixed, wide), None)
-        return jax.lax.scan(step, state, length=_CLIMB)[0]
+        claim = jax.vmap(lambda x, scan: BEAMS.responsibility(x, scan, sensor))
+        claims = jax.vmap(lambda state: claim(along(state, scans), scans))(truth)
+        rest = scans._replace(weight=scans.weight * jnp.prod(1 - claims, axis=0))
+        states, there = jax.lax.stop_gradient(_rivals(rest, sensor, truth))
 
-    states = jax.lax.stop_gradient(jax.vmap(climb)(start))
-    near = jnp.ones((_FALSE, TARGETS), bool)
-    span = scans.time_s[0] - scans.time_s[-1]
-    for ago in (0.0, span):
-        apart = (states[:, None, :2] + ago * states[:, None, 2:]) - (
-            truth[None, :, :2] + ago * truth[None, :, 2:]
+        own = BEAMS.scores(truth, scans, sensor)
+        rival = masked_logsumexp(BEAMS.scores(states, rest, sensor), there)
+        false = jnp.where(there.any(), jax.nn.softplus(rival - gate), 0.0)
+        return jax.nn.softplus(gate - own).sum() + false
+
+    return loss
+
+
+def _rivals(rest: BeamScan, sensor: BeamSensor, truth: Array) -> tuple[Array, Array]:
+    """Return the strongest trajectories that are no target's, and which of them there are."""
+    rest, sensor, truth = jax.lax.stop_gradient((rest, sensor, truth))
+    positions = BEAMS.positions(rest, sensor)
+    size = _SIZES.hypotheses
+    start, some, _ = distant_pairs(positions, SPEED, gap=_SIZES.gap, hypotheses=size)
+    wide = BEAMS.blur(sensor, 1.3)
+    best = jax.lax.top_k(jnp.where(some, BEAMS.scores(start, rest, wide), -jnp.inf), _RIVALS)[1]
+    climb = jax.vmap(lambda state: BEAMS.refine(state, rest, wide))
+    states, _ = jax.lax.scan(lambda x, _: (climb(x), None), start[best], length=_CLIMB)
+
+    def close(ago_s: Array) -> Array:
+        at = lambda x: x[:, :2] + ago_s * x[:, 2:]
+        return ((at(states)[:, None] - at(truth)[None]) ** 2).sum(-1) < _NEAR_M**2
+
+    span_s = rest.time_s[0] - rest.time_s[-1]
+    near = close(jnp.zeros_like(span_s)) & close(span_s)
+    return states, some[best] & ~near.any(-1)
+
+
+class Networks(NamedTuple):
+    """Trained arrays, R of each stacked."""
+
+    labels: Any
+    tracks: Any
+
+
+class Rates(NamedTuple):
+    """What is left of all echoes above each of the thresholds, [thresholds]."""
+
+    clutter: Array
+    target: Array
+
+
+def rates(key: Key) -> Rates:
+    """Return the rates above the thresholds, from a hundred thousand draws of each kind."""
+    looks = jnp.broadcast_to(jnp.arange(8000)[:, None] % 2 == 1, (8000, BEAM_COUNT))
+    dtype = jnp.result_type(float)
+    loud = echo_amplitudes(key, looks, ECHO, degrees=DEGREES, dtype=dtype)
+    above = jnp.stack([(loud > a).mean(1, dtype=dtype) for a in THRESHOLDS])
+    return Rates(above[:, ::2].mean(1), above[:, 1::2].mean(1))
+
+
+def settings(repeats: int) -> list[tuple[str, int, float]]:
+    """Return every setting that is scored: method, which of the trained networks, threshold or k.
+
+    Example:
+        >>> settings(2)[:6][-1], settings(2)[-1], len(settings(2))
+        (('ceiling', 0, 3.0), ('tracks', 1, 30.0), 20)
+    """
+    found = [("threshold", 0, a) for a in THRESHOLDS]
+    for method, count in (("ceiling", 1), ("labels", repeats), ("tracks", repeats)):
+        found += [(method, n, k) for n in range(count) for k in BOOSTS]
+    return found
+
+
+@functools.cache
+def score_with(network: Network) -> Callable[[Key, Any], Array]:
+    """Return the trial `(key, (networks, rates)) -> OSPA` at the last look, [settings, gates]."""
+
+    def score(key: Key, params: tuple[Networks, Rates]) -> Array:
+        networks, left = params
+        window = simulate(key)
+        scans, dtype = window.scans, window.scans.range_m.dtype
+        assert scans.intensity is not None
+        ratios = [true_log_ratio(scans)[None]]
+        ratios += [jax.vmap(network, (0, None))(arrays, scans) for arrays in networks]
+        boosts = jnp.asarray(BOOSTS, dtype)
+        looks, sensors = jax.vmap(jax.vmap(weighted, (None, None, 0)), (None, 0, None))(
+            scans, jnp.concatenate(ratios), boosts
         )
-        close = (apart**2).sum(-1) < NEAR_M**2
-        near = near & close
-    false = some & ~(near & there[None]).any(-1)
-    rival = masked_logsumexp(jnp.where(false, BEAMS.scores(states, rest, sensor), 0.0), false)
-    found = jnp.where(there, jax.nn.softplus(gate - own), 0.0).sum()
-    return found + jax.nn.softplus(jnp.where(false.any(), rival - gate, -30.0))
+        assert looks.weight is not None
+        above = scans.intensity[None] > jnp.asarray(THRESHOLDS, dtype)[:, None, None]
+        ones = jnp.ones_like(scans.range_m)
+        mask = scans.mask[None] & above
+        flat = lambda x: x.reshape(-1, *x.shape[2:])
+        count = flat(looks.weight).shape[0]
+        cases = (
+            jnp.concatenate([mask, jnp.broadcast_to(scans.mask, (count, *scans.mask.shape))]),
+            jnp.concatenate([jnp.broadcast_to(ones, mask.shape), flat(looks.weight)]),
+            jnp.concatenate([1 - (1 - SONAR.p_miss) * left.target, jnp.full(count, SONAR.p_miss)]),
+            jnp.concatenate([SONAR.p_false * left.clutter, flat(sensors.sonar.p_false)]),
+        )
+
+        def one(case: tuple[Array, ...]) -> Array:
+            mask, weight, p_miss, p_false = case
+            sonar = SONAR._replace(p_miss=p_miss, p_false=p_false)
+            return _ospa(scans._replace(mask=mask, weight=weight), BeamSensor(sonar), window)
+
+        return jax.lax.map(one, cases)
+
+    return score
 
 
-class Score(NamedTuple):
-    """OSPA of the joint vote at each setting."""
-
-    ospa_m: Array  # [...]
-    count: Array  # [...] tracks
-
-
-def judge(
-    scans: BeamScan, sensor: BeamSensor, gates: Array, window: Window
-) -> Score:
-    """Return what the joint vote is worth on weighted looks at each of the gates, [G].
-
-    A gate only masks tracks here: tracks are found with the least one, and refitted together.
-    """
-    params = joint.JointParams(sensor, SPEED, gates[0])
+def _ospa(scans: BeamScan, sensor: BeamSensor, window: Window) -> Array:
+    """Return OSPA at each of the gates, [G]; tracks are found with the least of them."""
+    params = joint.JointParams(sensor, SPEED, GATES[0])
     tracks, _ = joint.estimate(scans, params, sizes=_SIZES, observation=BEAMS)
-    truth, there = window.truth.state[-1], window.truth.mask[-1]
+    truth, there = window.truth.state[-1, :, :2], window.truth.mask[-1]
 
-    def at(gate: Array) -> Score:
+    def at(gate: Array) -> Array:
         mask = tracks.mask & (tracks.log_score >= gate)
-        far = ospa(
-            tracks.mean[:, :2], mask, truth[:, :2], there, cutoff=CUTOFF_M, order=ORDER
-        ).distance
-        return Score(far, mask.sum())
+        sets = tracks.mean[:, :2], mask, truth, there
+        return ospa(*sets, cutoff=CUTOFF_M, order=ORDER).distance
 
-    return jax.lax.map(at, gates)
+    return jax.lax.map(at, jnp.asarray(GATES, truth.dtype))
