@@ -1,7 +1,7 @@
 """The true likelihood ratio of an echo in correlated K-distributed clutter.
 
-The texture τ of the clutter is a Markov chain over the beams: with g the Gaussians whose mean square
-it is (`sensors.echoes`), d = 2ν of them, and φ² = e^(−1/ℓ),
+The texture τ of the clutter is a Markov chain over the beams: it is the mean square of d = 2ν
+Gaussians (`sensors.echoes`), and with φ² = e^(−1/ℓ)
 
     d τ_{b+1} / (1 − φ²)  ~  noncentral χ²_d,   λ = d φ² τ_b / (1 − φ²).
 

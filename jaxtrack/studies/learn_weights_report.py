@@ -77,9 +77,7 @@ def table(scores: xr.Dataset) -> Table:
         )
     columns = ["OSPA", "each network", "share of the gap", "threshold or k", "gate"]
     title = "Two targets before a sonar that always reports, held-out scenes"
-    return grid_table(
-        title, list(_NAMES.values()), columns, lines, trials=scores.sizes["trial"]
-    )
+    return grid_table(title, list(_NAMES.values()), columns, lines, trials=scores.sizes["trial"])
 
 
 def marks(scores: xr.Dataset) -> list[Row]:

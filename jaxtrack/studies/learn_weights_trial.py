@@ -1,4 +1,4 @@
-"""What the study `learn_weights` simulates: looks with echoes, losses that train, scores that count.
+"""What the study `learn_weights` simulates: looks with echoes, losses that train, the score.
 
 Targets before a forward-looking sonar without a threshold of its own: nearly every beam reports
 something. How loud an echo is tells target from clutter, but clutter comes in patches along the
@@ -118,6 +118,7 @@ def track_loss(network: Network) -> Callable[[Weights, Key], Array]:
         scans, sensor = weighted(window.scans, log_ratio, TRAINED_BOOST)
         truth = window.truth.state[-1]  # all targets are there
 
+        assert scans.weight is not None
         claim = jax.vmap(lambda x, scan: BEAMS.responsibility(x, scan, sensor))
         claims = jax.vmap(lambda state: claim(along(state, scans), scans))(truth)
         rest = scans._replace(weight=scans.weight * jnp.prod(1 - claims, axis=0))
