@@ -1,4 +1,7 @@
-"""Estimators as files that run where this library is not installed."""
+"""Estimators as files that run where this library is not installed.
+
+JAX writes and reads them with the package flatbuffers (extra `export`).
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,7 +14,7 @@ from jaxtrack.types import Array
 
 
 def export_estimator(fn: Callable[..., Any], *like: Any) -> bytes:
-    """Return a compiled-ahead function as bytes that JAX alone runs.
+    """Return a compiled-ahead function as bytes that JAX runs by itself.
 
         run = jax.export.deserialize(bytearray(content))
         result = run.call({"0.time_s": …, "0.position_m": …})
@@ -32,6 +35,7 @@ def export_estimator(fn: Callable[..., Any], *like: Any) -> bytes:
         it too (see `jax.export` for how long); dtypes of 64 bit want `jax_enable_x64` there.
 
     Raises:
+        ImportError: flatbuffers is not installed.
         TypeError: `fn` is not callable, or there is nothing that will come.
 
     Example:

@@ -46,11 +46,11 @@ def echo_log_ratio(amplitude: Array, mask: Array, echo: Echo, share: Array | flo
     """
     dtype = amplitude.dtype
     texture, stationary, chain = _chain(jnp.asarray(echo.correlation_beams, dtype))
-    a = jnp.where(mask, amplitude, 1.0)[..., None]
+    a, tau = jnp.where(mask, amplitude, 1.0)[..., None], texture[None, None]
     signal = 10 ** (jnp.asarray(echo.snr_db, dtype) / 20)
-    clutter = safe_log(2 * a / texture) - a**2 / texture
-    both = 2 * a * signal / texture
-    target = clutter - signal**2 / texture + jnp.log(jax.scipy.special.i0e(both)) + both
+    clutter = safe_log(2 * a / tau) - a**2 / tau
+    both = 2 * a * signal / tau
+    target = clutter - signal**2 / tau + jnp.log(jax.scipy.special.i0e(both)) + both
     share = jnp.asarray(share, dtype)
     mixture = (1 - share) * jnp.exp(clutter) + share * jnp.exp(target)
     likely = jnp.where(mask[..., None], mixture, 1.0)  # [T, B, G]

@@ -1,4 +1,5 @@
 import io
+import itertools
 import json
 
 import jax
@@ -27,11 +28,14 @@ from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import echoes as oracle
 
 
+simulate = jax.jit(learn_weights_trial.simulate)
+
+
 @pytest.mark.parametrize("amplitude", [(0.4, 1.5), (2.0, 1.5), (0.05, 0.9)])
 def test_the_ratio_is_that_of_an_integral_over_the_textures(amplitude):
     echo, share = Echo(1.0, 12.0), 0.1
     ratio = jax.jit(echo_log_ratio)(jnp.array([amplitude]), jnp.ones((1, 2), bool), echo, share)
-    expected = [oracle.log_ratio(amplitude, b, *echo, share) for b in range(2)]
+    expected = [oracle.log_ratio(*pair, *echo, share) for pair in (amplitude, amplitude[::-1])]
     np.testing.assert_allclose(ratio[0], expected, atol=0.05)
 
 
@@ -53,7 +57,7 @@ def test_the_odds_it_gives_are_those_of_the_draws():
     odds = np.asarray(ratio) + np.log(share / (1 - share))
     probability, label = 1 / (1 + np.exp(-odds)).ravel(), np.asarray(is_target).ravel()
     edges = np.quantile(probability, [0, 0.5, 0.8, 0.9, 0.95, 0.99, 1])
-    for low, high in zip(edges, edges[1:], strict=False):
+    for low, high in itertools.pairwise(edges):
         some = (probability >= low) & (probability <= high)
         share_of_it, stated = label[some].mean(), probability[some].mean()
         error = np.sqrt(stated * (1 - stated) / some.sum())
@@ -61,7 +65,7 @@ def test_the_odds_it_gives_are_those_of_the_draws():
 
 
 def test_weights_are_bounded_odds_and_masked_echoes_weigh_nothing():
-    window = learn_weights_trial.simulate(jax.random.key(0))
+    window = simulate(jax.random.key(0))
     ratio = jnp.where(window.scans.mask, jnp.log(3.0), jnp.nan)
     scans, sensor = learn_weights_trial.weighted(window.scans, ratio, 9.0)
     np.testing.assert_allclose(scans.weight, jnp.where(window.scans.mask, 0.25, 0.0))
@@ -79,7 +83,7 @@ def test_losses_are_smooth_in_what_is_trained(monkeypatch):
     assert_gradients_agree(lambda x: labels({"network": x}, key), np.array([1.0, 0.3]), rtol=1e-5)
 
     # Which trajectories are rivals, and where, is held fixed in the gradient.
-    window = learn_weights_trial.simulate(key)
+    window = simulate(key)
     at = learn_weights_trial.weighted(window.scans, plain(jnp.array([1.0, 0.3]), window.scans), 10)
     states, there = learn_weights_trial._rivals(*at, window.truth.state[-1])
     assert 0 < there.sum() <= len(there)
@@ -91,7 +95,7 @@ def test_losses_are_smooth_in_what_is_trained(monkeypatch):
 
 
 def test_rivals_are_no_targets_and_score():
-    window = learn_weights_trial.simulate(jax.random.key(3))
+    window = simulate(jax.random.key(3))
     ratio = learn_weights_trial.true_log_ratio(window.scans)
     scans, sensor = learn_weights_trial.weighted(window.scans, ratio, 10.0)
     truth = window.truth.state[-1]
