@@ -18,7 +18,7 @@ from jaxtrack.hough.evidence import along
 from jaxtrack.hough.pairs import distant_pairs
 from jaxtrack.metrics import ospa
 from jaxtrack.models import BEAMS, BeamSensor, BeamSonar
-from jaxtrack.numerics.masked import masked_logsumexp, masked_mean
+from jaxtrack.numerics.masked import masked_mean
 from jaxtrack.sensors import Echo, SonarSceneLimits, observe_known_beams, random_sonar_scene
 from jaxtrack.sensors.echoes import echo_amplitudes
 from jaxtrack.studies.learn_echoes import DEGREES, echo_log_ratio
@@ -35,10 +35,10 @@ CUTOFF_M, ORDER = 20.0, 2.0
 THRESHOLDS = (0.0, 0.4, 0.6, 0.8, 1.0)  # amplitudes; 0: all detections count alike
 BOOSTS = (3.0, 10.0, 30.0)
 GATES = (6.0, 8.0, 10.0, 12.0, 14.0, 17.0, 20.0)
-START_GATE, TRAINED_BOOST = 14.0, 10.0
+START_GATE, TRAINED_BOOST = 10.0, 10.0
 _NEAR_M = 15.0  # trajectories so near a target's at both ends are its own
 _SIZES = joint.JointSizes(4, 2048, candidates=128, starts=8, gap=6, samples=64)
-_RIVALS = 64  # trajectories that a loss sets against the targets
+_RIVALS = 64  # trajectories of which a loss sets the strongest against the targets
 _CLIMB = 3  # steps by which they are refined
 
 _EXPECTED = TARGETS * (1 - SONAR.p_miss)
@@ -102,13 +102,13 @@ def label_loss(network: Network) -> Callable[[Weights, Key], Array]:
 
 
 def track_loss(network: Network) -> Callable[[Weights, Key], Array]:
-    """Return the cross-entropy of the joint vote's existence σ(L − gate), a window.
+    """Return the cross-entropy of the joint vote's existence σ(E − gate), a window.
 
-        Σ_k log(1 + e^(gate − L_k)) + log(1 + Σ_c e^(L_c − gate))
+        Σ_k log(1 + e^(gate − E_k)) + log(1 + e^(E_r − gate))
 
-    over the targets k, at their true trajectories, and the strongest of the trajectories c through
-    two detections that are no target's. These are voted for with what the targets explain taken out
-    of the weights, as the joint vote takes it out. Which they are is a choice, and has no gradient.
+    with E the evidence about the targets k, at their true trajectories, and about the strongest
+    trajectory r that is no target's. For it what the targets explain is taken out of the weights,
+    as the joint vote takes it out. Which trajectory it is is a choice, and has no gradient.
     """
 
     def loss(weights: Weights, key: Key) -> Array:
@@ -116,24 +116,29 @@ def track_loss(network: Network) -> Callable[[Weights, Key], Array]:
         log_ratio = network(weights["network"], window.scans)
         gate = jnp.asarray(weights["gate"], log_ratio.dtype)
         scans, sensor = weighted(window.scans, log_ratio, TRAINED_BOOST)
-        truth = window.truth.state[-1]  # all targets are there
-
         assert scans.weight is not None
+        truth = window.truth.state[-1]  # all targets are there
         claim = jax.vmap(lambda x, scan: BEAMS.responsibility(x, scan, sensor))
         claims = jax.vmap(lambda state: claim(along(state, scans), scans))(truth)
-        rest = scans._replace(weight=scans.weight * jnp.prod(1 - claims, axis=0))
-        states, there = jax.lax.stop_gradient(_rivals(rest, sensor, truth))
+        rest = scans.weight * jnp.prod(1 - claims, axis=0)
+        rival, there = _rival(scans._replace(weight=rest), sensor, truth)
 
-        own = BEAMS.scores(truth, scans, sensor)
-        rival = masked_logsumexp(BEAMS.scores(states, rest, sensor), there)
-        false = jnp.where(there.any(), jax.nn.softplus(rival - gate), 0.0)
-        return jax.nn.softplus(gate - own).sum() + false
+        def about(state: Array, weight: Array) -> Array:
+            seen = scans._replace(weight=weight)
+            options = {"samples": _SIZES.samples, "observation": BEAMS}
+            return joint.evidence(state, seen, sensor, SPEED, **options)[2]
+
+        found = jax.vmap(about)(
+            jnp.concatenate([truth, rival[None]]), jnp.stack([scans.weight] * TARGETS + [rest])
+        )
+        false = jnp.where(there, jax.nn.softplus(found[-1] - gate), 0.0)
+        return jax.nn.softplus(gate - found[:-1]).sum() + false
 
     return loss
 
 
-def _rivals(rest: BeamScan, sensor: BeamSensor, truth: Array) -> tuple[Array, Array]:
-    """Return the strongest trajectories that are no target's, and which of them there are."""
+def _rival(rest: BeamScan, sensor: BeamSensor, truth: Array) -> tuple[Array, Array]:
+    """Return the strongest trajectory that is no target's, and whether there is one."""
     rest, sensor, truth = jax.lax.stop_gradient((rest, sensor, truth))
     positions = BEAMS.positions(rest, sensor)
     size = _SIZES.hypotheses
@@ -148,8 +153,10 @@ def _rivals(rest: BeamScan, sensor: BeamSensor, truth: Array) -> tuple[Array, Ar
         return ((at(states)[:, None] - at(truth)[None]) ** 2).sum(-1) < _NEAR_M**2
 
     span_s = rest.time_s[0] - rest.time_s[-1]
-    near = close(jnp.zeros_like(span_s)) & close(span_s)
-    return states, some[best] & ~near.any(-1)
+    false = some[best] & ~(close(jnp.zeros_like(span_s)) & close(span_s)).any(-1)
+    score = jnp.where(false, BEAMS.scores(states, rest, sensor), -jnp.inf)
+    first = jnp.argmax(score)
+    return jax.lax.stop_gradient(states[first]), false[first]
 
 
 class Networks(NamedTuple):

@@ -27,7 +27,6 @@ from jaxtrack.types import BeamScan, Pose
 from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import echoes as oracle
 
-
 simulate = jax.jit(learn_weights_trial.simulate)
 
 
@@ -82,31 +81,39 @@ def test_losses_are_smooth_in_what_is_trained(monkeypatch):
     labels = learn_weights_trial.label_loss(plain)
     assert_gradients_agree(lambda x: labels({"network": x}, key), np.array([1.0, 0.3]), rtol=1e-5)
 
-    # Which trajectories are rivals, and where, is held fixed in the gradient.
+    # Which trajectory is the rival, and where samples stand, is held fixed in the gradient.
     window = simulate(key)
     at = learn_weights_trial.weighted(window.scans, plain(jnp.array([1.0, 0.3]), window.scans), 10)
-    states, there = learn_weights_trial._rivals(*at, window.truth.state[-1])
-    assert 0 < there.sum() <= len(there)
-    monkeypatch.setattr(learn_weights_trial, "_rivals", lambda *_: (states, there))
+    rival = learn_weights_trial._rival(*at, window.truth.state[-1])
+    assert rival[1]
+    monkeypatch.setattr(learn_weights_trial, "_rival", lambda *_: rival)
+    score = lambda state, scans, sensor, *_, observation, **__: (
+        None, None, observation.scores(state[None], scans, sensor)[0]
+    )  # fmt: skip
+    monkeypatch.setattr(learn_weights_trial.joint, "evidence", score)
     tracks = learn_weights_trial.track_loss(plain)
     of = lambda x: tracks({"network": x[:2], "gate": x[2]}, key)
     (slope,) = assert_gradients_agree(of, np.array([1.0, 0.3, 9.0]), rtol=1e-5)
     assert np.abs(slope).max() > 1e-2
 
 
-def test_rivals_are_no_targets_and_score():
+def test_the_rival_is_no_target_and_the_best_of_what_is_left():
     window = simulate(jax.random.key(3))
     ratio = learn_weights_trial.true_log_ratio(window.scans)
     scans, sensor = learn_weights_trial.weighted(window.scans, ratio, 10.0)
     truth = window.truth.state[-1]
-    states, there = jax.jit(learn_weights_trial._rivals)(scans, sensor, truth)
-    apart = jnp.linalg.norm(states[:, None, :2] - truth[None, :, :2], axis=-1)
+    state, there = jax.jit(learn_weights_trial._rival)(scans, sensor, truth)
+    assert there
     span = scans.time_s[0] - scans.time_s[-1]
-    moved = lambda x: x[:, :2] + span * x[:, 2:]
-    before = jnp.linalg.norm(moved(states)[:, None] - moved(truth)[None], axis=-1)
-    close = (apart < 15.0) & (before < 15.0)
-    assert not (close.any(1) & there).any()
-    assert np.isfinite(BEAMS.scores(states, scans, sensor)).all()
+    far = lambda ago: jnp.linalg.norm(
+        (state[:2] + ago * state[2:])[None] - (truth[:, :2] + ago * truth[:, 2:]), axis=-1
+    )
+    assert (jnp.maximum(far(0.0), far(span)) >= 15.0).all()
+    score = BEAMS.scores(jnp.stack([state, *truth]), scans, sensor)
+    assert score[0] > 0  # clutter that happens to lie on a line
+    # Without any detection there is no rival.
+    silent = scans._replace(mask=jnp.zeros_like(scans.mask))
+    assert not jax.jit(learn_weights_trial._rival)(silent, sensor, truth)[1]
 
 
 def test_what_a_network_sees_ignores_what_is_masked_and_starts_with_equal_weights():
