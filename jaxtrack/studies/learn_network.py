@@ -14,7 +14,7 @@ from flax import nnx
 from jaxtrack.numerics.safe import safe_log
 from jaxtrack.types import Array, BeamScan, Key
 
-_REACH = (9, 5)  # beams that the convolutions see
+_REACH = (15, 9)  # beams that the convolutions see
 _LEAST = 1e-2  # amplitudes below it look alike
 
 

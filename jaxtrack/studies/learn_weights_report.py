@@ -109,7 +109,8 @@ def sensitivity_table(found: xr.Dataset) -> Table:
         ]
         lines.append([f"{float(here.specification):.3g} {here.unit.item()}".strip(), *both])
     columns = ["specification", "score function", "central difference"]
-    title = f"OSPA, metres a tenth of each specification, at {float(found.ospa):.2f} m"
+    few = found.attrs["scenes_of_differences"]
+    title = f"OSPA, m a tenth of each, at {float(found.ospa):.2f} m; differences on {few} windows"
     return grid_table(
         title, list(map(str, found.name.values)), columns, lines, trials=found.attrs["scenes"]
     )
