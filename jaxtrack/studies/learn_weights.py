@@ -53,7 +53,7 @@ class Effort(NamedTuple):
     sensitivity: int  # scenes
 
 
-FULL = Effort(3, steps=300, batch=16, holdout=256, every=50, choosing=800, sensitivity=16000)
+FULL = Effort(3, steps=900, batch=16, holdout=256, every=150, choosing=800, sensitivity=16000)
 SMOKE = Effort(1, steps=2, batch=2, holdout=2, every=1, choosing=4, sensitivity=16)
 
 

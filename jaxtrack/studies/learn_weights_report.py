@@ -110,7 +110,7 @@ def sensitivity_table(found: xr.Dataset) -> Table:
         lines.append([f"{float(here.specification):.3g} {here.unit.item()}".strip(), *both])
     columns = ["specification", "score function", "central difference"]
     few = found.attrs["scenes_of_differences"]
-    title = f"OSPA, m a tenth of each, at {float(found.ospa):.2f} m; differences on {few} windows"
+    title = f"OSPA of {float(found.ospa):.2f} m, a tenth of each more; differences on {few}"
     return grid_table(
         title, list(map(str, found.name.values)), columns, lines, trials=found.attrs["scenes"]
     )
