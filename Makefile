@@ -58,5 +58,5 @@ $(RUN): $(VENV)
 	touch $@
 
 $(DEV): $(VENV)
-	$(BIN)/python -m pip install --quiet -e '.[studies,plots,test,dev,peers]'
+	$(BIN)/python -m pip install --quiet -e '.[studies,plots,learn,export,test,dev,peers]'
 	touch $@ $(RUN)

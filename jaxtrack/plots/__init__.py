@@ -1,7 +1,7 @@
 """Figures: data in, a `matplotlib.figure.Figure` out; the caller saves it."""
 
 from jaxtrack.plots.accumulations import accumulations
-from jaxtrack.plots.comparisons import run_times, scores
+from jaxtrack.plots.comparisons import means, run_times, scores
 from jaxtrack.plots.film import film
 from jaxtrack.plots.fitting import fit_history, loss_map
 from jaxtrack.plots.meetings import meetings
@@ -35,6 +35,7 @@ __all__ = [
     "fit_history",
     "loss_map",
     "maps",
+    "means",
     "meetings",
     "pings_map",
     "points_and_votes",

@@ -1,4 +1,4 @@
-"""Methods beside each other: how long they take, and how often they are right."""
+"""Methods beside each other: how long they take, how often they are right, how far they are off."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -7,7 +7,17 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from jaxtrack.plots.style import FAINT, INK, WIDTH_IN, dress, looks_of, say_empty, style
+from jaxtrack.plots.style import (
+    COLOURS,
+    FAINT,
+    INK,
+    MARKERS,
+    WIDTH_IN,
+    dress,
+    looks_of,
+    say_empty,
+    style,
+)
 
 Share = tuple[float, float, float]
 """A share of runs and the ends of its interval, all in [0, 1]."""
@@ -125,4 +135,51 @@ def scores(
             say_empty(axes, "no runs")
         dress(axes, grid="y")
         axes.tick_params(axis="x", length=0)
+    return figure
+
+
+def means(
+    groups: Mapping[str, Mapping[str, tuple[float, float]]], *, label: str, title: str = ""
+) -> Figure:
+    """Return means with two standard errors to each side, a line a name, a colour a group.
+
+    Args:
+        groups: mean and standard error by group, then by name.
+        label: what is measured, and its unit.
+        title: of the figure.
+
+    Example:
+        >>> figure = means({"": {"joint": (1.2, 0.1), "standard": (3.0, 0.2)}}, label="OSPA, m")
+        >>> [text.get_text() for text in figure.axes[0].get_yticklabels()]
+        ['joint', 'standard']
+    """
+    names = list(dict.fromkeys(name for group in groups.values() for name in group))
+    step = 0.7 / max(len(groups), 1)
+    with style():
+        figure = Figure(figsize=(WIDTH_IN, 1.5 + 0.45 * max(len(names), 2)), layout="constrained")
+        axes = figure.add_subplot()
+        for place, (group, values) in enumerate(groups.items()):
+            at = [names.index(name) + step * (place - (len(groups) - 1) / 2) for name in values]
+            mean, error = np.array(list(values.values()), np.float64).reshape(-1, 2).T
+            axes.errorbar(
+                mean,
+                at,
+                xerr=2 * np.where(np.isfinite(error), error, 0.0),
+                color=COLOURS[place % len(COLOURS)],
+                marker=MARKERS[place % len(MARKERS)],
+                linestyle="none",
+                ms=6,
+                elinewidth=1.4,
+                capsize=2.5,
+                label=group,
+            )
+        axes.set_yticks(range(len(names)), names)
+        axes.set_ylim(max(len(names), 1) - 0.5, -0.5)
+        axes.set_xlabel(f"{label}\nmean ± 2 standard errors")
+        axes.set_title(title, loc="left", fontweight="bold")
+        if len(groups) > 1:
+            figure.legend(loc="outside lower center", ncols=len(groups))
+        if not names:
+            say_empty(axes, "no means")
+        dress(axes, grid="x")
     return figure

@@ -7,6 +7,7 @@ summary through `studies.store`. The same seed and number of trials give the sam
 
 from jaxtrack.studies.ccm import STUDY as _CCM
 from jaxtrack.studies.csht import STUDY as _CSHT
+from jaxtrack.studies.learn_weights import STUDY as _LEARN_WEIGHTS
 from jaxtrack.studies.moment import STUDY as _MOMENT
 from jaxtrack.studies.nht import STUDY as _NHT
 from jaxtrack.studies.registry import Context, Study
@@ -17,7 +18,10 @@ from jaxtrack.studies.tune_tracker import STUDY as _TUNE_TRACKER
 
 STUDIES: dict[str, Study] = {
     study.name: study
-    for study in (_NHT, _CSHT, _CCM, _TRACKING, _MOMENT, _TUNE_NHT, _TUNE_CSHT, _TUNE_TRACKER)
+    for study in (
+        *(_NHT, _CSHT, _CCM, _TRACKING, _MOMENT),
+        *(_TUNE_NHT, _TUNE_CSHT, _TUNE_TRACKER, _LEARN_WEIGHTS),
+    )
 }
 
 __all__ = ["STUDIES", "Context", "Study"]

@@ -323,3 +323,19 @@ def test_error_bars_say_what_they_are():
     assert figure.axes[0].get_ylabel() == "OSPA, m\nmean ± 2 standard errors"
     bars = figure.axes[0].containers[0].lines[2][0].get_segments()
     np.testing.assert_allclose(bars[1][:, 1], [0.8, 1.6])
+
+
+def test_means_have_a_line_a_name_and_a_colour_a_group(tmp_path):
+    ways = {"score": {"σ": (0.4, 0.1), "P_F": (0.2, math.inf)}, "differences": {"P_F": (0.1, 0.2)}}
+    figure = plots.means(ways, label="OSPA, m", title="What matters")
+    (axes,) = figure.axes
+    assert [text.get_text() for text in axes.get_yticklabels()] == ["σ", "P_F"]
+    assert legend(figure) == ["score", "differences"]
+    first, second = (container.lines[0].get_xydata() for container in axes.containers)
+    np.testing.assert_allclose(first[:, 0], [0.4, 0.2])
+    assert first[1, 1] < second[0, 1]  # beside each other
+    (bars,) = axes.containers[0].lines[2]
+    np.testing.assert_allclose(bars.get_segments()[0][:, 0], [0.2, 0.6])
+    np.testing.assert_allclose(bars.get_segments()[1][:, 0], [0.2, 0.2])  # no error is known
+    draw(figure, tmp_path)
+    draw(plots.means({}, label="OSPA, m"), tmp_path)
