@@ -27,6 +27,8 @@ from jaxtrack.types import Array, Key, Scan
 MAX_TRACKS = 10
 """The programme holds 2^T numbers; for more tracks there is `belief_propagation`."""
 
+_LARGE = 1e15
+
 
 def marginals(likelihood_ratio: Array, miss: Array) -> Array:
     """Return the probability of each detection, and last of the miss, for each track: [T, M + 1].
@@ -60,8 +62,14 @@ def marginals(likelihood_ratio: Array, miss: Array) -> Array:
             f"likelihood_ratio: got {tracks} tracks, want at most {MAX_TRACKS}; "
             "belief_propagation.marginals takes more"
         )
-    weight = likelihood_ratio
-    missed = floored(miss)
+    # A row's scale is no matter, but the slope in a number beyond 1e15 may be none in float32.
+    weight = jnp.minimum(likelihood_ratio, jnp.finfo(jnp.result_type(likelihood_ratio, float)).max)
+    largest = jax.lax.stop_gradient(jnp.max(weight, axis=1, initial=0.0))
+    # In two steps: the reciprocal of the largest number there is would be none.
+    first = jnp.where(largest > _LARGE, 1 / _LARGE, 1.0)
+    scale = jnp.where(largest > _LARGE, largest * first, 1.0)
+    weight = weight * first[:, None] / scale[:, None]
+    missed = floored(miss * first / scale)
     per_weight, per_miss = (checkpoint_name(x, "jpda") for x in _slopes(weight, missed))
     return jnp.concatenate([weight * per_weight, (missed * per_miss)[:, None]], axis=1)
 

@@ -28,7 +28,7 @@ from jaxtrack.tracking.lifecycle import (
     empty_table,
     grade,
 )
-from jaxtrack.tracking.sight import COUNTS, Detect, everywhere
+from jaxtrack.tracking.sight import COUNTS, Detect, check_sight
 from jaxtrack.tracking.sliding import sliding
 from jaxtrack.types import Array, Estimator, InfoT, Key, ScanT, Tracks
 
@@ -138,7 +138,7 @@ def hough_tracker(
     check_size("confirm_looks", confirm_looks)
     _check(params, confirm_looks)
     window_of, look_at = sliding(estimate, like=like, window=window)
-    sees = everywhere if p_detect is None else p_detect
+    sees = check_sight(p_detect)
 
     def init(key: Key) -> HoughTrackerState:
         looks: Any = window_of(key)

@@ -20,6 +20,7 @@ from jaxtrack.association import (
     in_turn,
     likelihood_ratios,
 )
+from jaxtrack.association.jpda import MAX_TRACKS
 from jaxtrack.filtering.gaussian import TreeT, choose
 from jaxtrack.numerics.checks import (
     check_array,
@@ -35,7 +36,7 @@ from jaxtrack.numerics.safe import as_float, safe_log
 from jaxtrack.tracking.filters import Filter, straight_filter
 from jaxtrack.tracking.lifecycle import LifecycleParams, check_lifecycle
 from jaxtrack.tracking.lives import Lives, Looked, hard_lives
-from jaxtrack.tracking.sight import COUNTS, Detect, everywhere
+from jaxtrack.tracking.sight import COUNTS, Detect, check_sight, everywhere, share_in_sight
 from jaxtrack.types import Array, Estimator, Key, Scan, Stage, Tracks
 
 
@@ -96,7 +97,8 @@ def kalman_tracker(
         filter: of the tracks: `position_filter`, `range_bearing_filter`, `interacting_filter`, or
             one's own; None: `straight_filter` with the params' numbers, which no other one reads.
         p_detect: share of `params.p_detect` at a place in a look, for sensors that do not see
-            everywhere; None: 1. Where it is next to nothing a look is no miss.
+            everywhere; None: 1. It counts on the average over where a track may be; where that is
+            next to nothing a look is no miss.
         lives: how tracks live, of `params.gate` and `params.lifecycle`; None: `hard_lives`.
             `soft_lives` are differentiable.
 
@@ -126,13 +128,18 @@ def kalman_tracker(
     check_size("confirm_looks", confirm_looks)
     if isinstance(associator, str):
         check_choice("associator", associator, tuple(ASSOCIATORS))
+        if associator == "jpda" and max_tracks > MAX_TRACKS:
+            raise ValueError(
+                f"max_tracks: got {max_tracks}, want at most {MAX_TRACKS} with jpda; "
+                "belief_propagation takes more"
+            )
         associator = ASSOCIATORS[associator]
     associate, update = associator
     _check(params, confirm_looks)
 
     numbers = params.sigma_m, params.sigma_a_m_s2, params.birth_sigma_m_s, params.birth_sigma_m
     of: Filter[Any] = straight_filter(*numbers) if filter is None else filter
-    sees = everywhere if p_detect is None else p_detect
+    sees = check_sight(p_detect)
     way = (hard_lives if lives is None else lives)(params.gate, params.lifecycle)
 
     dtype = as_float(params.sigma_m).dtype
@@ -159,7 +166,8 @@ def kalman_tracker(
         moved = _where(tracks.mask, of.predict(state.beliefs, dt_s), state.beliefs)
         predicted = way.gated(of.measure(moved, scan, tracks.mask), look)
         detect = number(params.p_detect) * jnp.ones(max_tracks, dtype)
-        detect = detect * jax.vmap(sees, (0, None))(of.moments(moved).mean, scan)
+        if sees is not everywhere:
+            detect = detect * share_in_sight(sees, of.moments(moved), scan)
         known = AssociationParams(
             detect, number(params.clutter_per_m2), number(params.gate), number(params.echoes)
         )

@@ -89,7 +89,7 @@ def hard_lives(limit: Array | float, lifecycle: LifecycleParams) -> Lives:
         hit = weight.sum(1) >= _SEEN
         graded = grade(table._replace(tracks=tracks), hit, counted, look.valid, lifecycle)
         confirmed = table.tracks.mask & (table.tracks.stage >= Stage.CONFIRMED)
-        held = gate(predicted, look).inside & confirmed[:, None]
+        held = gate(predicted, look).inside & (confirmed & counted)[:, None]
         free = _candidates(look) & ~held.any(0) & (weight.sum(0) < _SEEN)
         births = Births(*started, free, _birth_score(look, free))
         admitted, full, source = admit(graded, births, lifecycle)
@@ -150,7 +150,7 @@ def soft_lives(
             held = gate(predicted, look)
             share = jnp.where(held.inside, held.squared_distance, 0.0)
             share = jnp.where(held.inside, inside(share), 0.0)
-            taken = (soft.alive * soft.confirmed)[:, None] * share
+            taken = jnp.where(counted, soft.alive * soft.confirmed, 0.0)[:, None] * share
             birth = jax.nn.sigmoid((_SEEN - weight.sum(0)) / width) * (1 - taken).prod(0)
             hit = jax.nn.sigmoid((weight.sum(1) - _SEEN) / width)
             before = soft._replace(table=soft.table._replace(tracks=tracks))

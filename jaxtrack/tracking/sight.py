@@ -1,11 +1,16 @@
 """Where a sensor sees: a look counts as a miss only for tracks that it could have shown."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
+from jaxtrack.filtering.gaussian import Moments
 from jaxtrack.models import BeamSonar
+from jaxtrack.numerics.checks import check_array
+from jaxtrack.numerics.safe import safe_sqrt
 from jaxtrack.sensors.sonar import in_view
 from jaxtrack.types import Array, Estimator, Pose, Scan
 
@@ -24,6 +29,63 @@ def everywhere(mean: Array, scan: Any) -> Array:
         1.0
     """
     return jnp.ones((), mean.dtype)
+
+
+def share_in_sight(sees: Detect, tracks: Moments, scan: Any) -> Array:
+    """Return what is seen of each track on the average over where it may be, [T].
+
+    Five points have the place's mean and covariance. At the edge of the sight a track whose mean
+    lies beyond it may still be seen, and its detections are its own.
+
+    Args:
+        sees: the probability of a detection at a place.
+        tracks: [T] states and covariances, positions first.
+        scan: the look.
+
+    Raises:
+        ValueError: `sees` returns no single number.
+
+    Example:
+        >>> edge = lambda mean, scan: (mean[0] < 10.0).astype(mean.dtype)
+        >>> tracks = Moments(jnp.array([[9.0, 0.0], [10.5, 0.0], [30.0, 0.0]]),
+        ...                  jnp.stack([jnp.eye(2)] * 3))
+        >>> print(share_in_sight(edge, tracks, None).round(2))
+        [0.83 0.17 0.  ]
+    """
+    mean, covariance = tracks
+    # Where the points stand is no matter of gradients.
+    place = jax.lax.stop_gradient(covariance[:, :2, :2])
+    a = safe_sqrt(place[:, 0, 0])
+    b = place[:, 0, 1] / jnp.where(a > 0, a, 1.0)
+    c = safe_sqrt(place[:, 1, 1] - b**2)
+    zero = jnp.zeros_like(a)
+    aside = math.sqrt(3.0) * jnp.stack([jnp.stack([a, b], -1), jnp.stack([zero, c], -1)])
+    offsets = jnp.concatenate([jnp.zeros_like(aside[:1]), aside, -aside])  # [5, T, 2]
+
+    def one(mean: Array, offset: Array) -> Array:
+        seen = sees(mean.at[:2].add(offset), scan)
+        check_array("p_detect(mean, scan)", seen, shape=())
+        return jnp.asarray(seen, mean.dtype)
+
+    seen = jax.vmap(jax.vmap(one), (None, 0))(mean, offsets)
+    seen = jnp.where(seen > 0, jnp.where(seen < 1, seen, 1.0), 0.0)  # NaN sees nothing
+    return jnp.asarray([1 / 3, 1 / 6, 1 / 6, 1 / 6, 1 / 6], mean.dtype) @ seen
+
+
+def check_sight(sees: Detect | None) -> Detect:
+    """Return where a sensor sees; None: everywhere.
+
+    Raises:
+        TypeError: it is no function.
+
+    Example:
+        >>> check_sight(None) is everywhere
+        True
+    """
+    if sees is not None and not callable(sees):
+        got = type(sees).__name__
+        raise TypeError(f"p_detect: got {got}, want a function of (mean, scan), or None")
+    return everywhere if sees is None else sees
 
 
 def sight_of(sonar: BeamSonar) -> Detect:

@@ -286,3 +286,31 @@ def test_precision_is_that_of_the_parameters_whatever_the_scan_has():
         one = jax.tree.map(lambda x: x[0], single)
         state, _ = tracker.step(tracker.init(jax.random.key(0)), one)
         assert state.table.tracks.mean.dtype == np.float64
+
+
+@pytest.mark.parametrize("associator", ["optimal", "jpda", "pmht"])
+def test_a_target_at_the_edge_of_sight_is_kept(associator):
+    rng = np.random.default_rng(1)
+    t = 0.5 * np.arange(120)
+    path = np.stack([np.minimum(20 + t, 49.7), 0.5 * t], -1)
+    seen = Scan(t, np.ones(120, bool), path[:, None] + rng.normal(size=(120, 1, 2)),
+                rng.random((120, 1)) < 0.9)  # fmt: skip
+    tracker = kalman_tracker(
+        KalmanTrackerParams(1.0, 0.1, 0.9, 1e-4, birth_sigma_m_s=2.0),
+        max_tracks=4,
+        associator=associator,
+        p_detect=lambda mean, scan: (mean[0] < 50.0).astype(mean.dtype),
+    )
+    run = jax.jit(lambda scans: jax.lax.scan(tracker.step, tracker.init(jax.random.key(0)), scans))
+    tracks = run(seen)[1].tracks
+    off_m = np.linalg.norm(np.asarray(tracks.mean)[..., :2] - path[:, None], axis=-1)
+    near = (off_m < 4.0) & (np.asarray(tracks.stage) >= Stage.CONFIRMED)
+    assert near[60:].any(1).all()
+
+
+def test_what_no_tracker_can_have_is_refused_when_it_is_built():
+    params = KalmanTrackerParams(1.0, 0.1, 0.9, 1e-4)
+    with pytest.raises(ValueError, match="max_tracks: got 20, want at most 10 with jpda"):
+        kalman_tracker(params, max_tracks=20)
+    with pytest.raises(TypeError, match="p_detect: got float, want a function"):
+        kalman_tracker(params, max_tracks=2, p_detect=0.5)
