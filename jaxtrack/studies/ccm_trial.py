@@ -127,7 +127,7 @@ def simulate(key: Key, inputs: Inputs) -> Run:
     def associated(name: str, mean: Array, covariance: Array, seen: Scan, origin: Array, key: Key):
         predicted = predict_measurement(mean, covariance, r)
         if name == KNOWN:
-            own = (origin[None, :] == jnp.arange(2)[:, None]).astype(dtype)
+            own = (origin[None, :] == jnp.arange(2, dtype=jnp.int32)[:, None]).astype(dtype)
             weights = Association(own, 1 - own.max(-1), jnp.asarray(True))
             return update_centroid(mean, covariance, predicted, seen, weights)
         here, method = params, ASSOCIATORS["jpda" if name == MORE_CLUTTER else name]
