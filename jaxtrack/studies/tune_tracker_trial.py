@@ -16,7 +16,6 @@ from jaxtrack.studies.tuned_ways import Score, Settings
 from jaxtrack.tracking import (
     KalmanTrackerParams,
     LifecycleParams,
-    Softness,
     kalman_tracker,
     soft_lives,
 )
@@ -28,7 +27,6 @@ CUTOFF_M, ORDER = 20.0, 2.0
 RADAR = Radar(0.9, 3.0, 1.0, (0.0, 0.0), (600.0, 600.0))
 ACCELERATION_M_S2 = 0.5  # of each coordinate; a look is a second
 _TARGETS, _LOOKS, _DETECTIONS, _SLOTS = 3, 40, 10, 8
-SOFTNESS = Softness(share=0.1, looks=0.25, score=0.5, gate=0.5)
 _TEMPERATURE, _ITERATIONS = 0.02, 30  # of the smooth OSPA
 
 
@@ -49,7 +47,7 @@ def hand() -> dict[str, float]:
 def loss(settings: Settings, key: Key) -> Array:
     """Return the smooth OSPA of one scene, mean over its looks, in units of the cut-off."""
     truth, scans = _simulate(key)
-    tracks, _ = _track(settings, scans, soft_lives(SOFTNESS))
+    tracks, _ = _track(settings, scans, soft_lives())
 
     def look(tracks: Tracks, state: Array, there: Array) -> Array:
         return sinkhorn_ospa(
