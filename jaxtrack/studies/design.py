@@ -1,0 +1,281 @@
+"""A study as data: a TOML file says which scenes, methods, metrics and how many trials.
+
+    seed = 0
+    trials = 1000
+
+    [scene]
+    function = "my_scenes:noisy_points"
+    sigma_m = { grid = [1.0, 2.0, 4.0] }
+
+    [method.mean]
+    function = "my_scenes:mean"
+
+    [metric.error_m]
+    function = "my_scenes:error"
+
+Here it is read, checked and tied to its functions; nothing is computed.
+"""
+
+import inspect
+import math
+import pathlib
+import re
+import tomllib
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, NoReturn
+
+from jaxtrack.studies.functions import find_function
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
+_LAST_TRIAL = 2**32
+_DEFAULTS = {"seed": 0, "chunk": 256, "micro_batch": 32}
+_TOP = ("seed", "trials", "chunk", "micro_batch", "until", "scene", "method", "metric")
+# What a function is given beside its fields.
+_GIVEN = {"scene": ("key",), "method": ("scene",), "metric": ("scene", "estimate")}
+
+
+class StudyError(ValueError):
+    """What is wrong with a study, its file or its folder, in one line."""
+
+
+class Part(NamedTuple):
+    """The scene, a method or a metric: a function and what it is called with."""
+
+    where: str  # its table in the file: "scene", "method.mean"
+    name: str  # "scene", "mean"
+    call: Callable[..., Any]
+    fields: dict[str, Any]  # those of one value
+    grid: dict[str, tuple[Any, ...]]  # those of several
+    static: frozenset[str]  # known to Python; the others are traced
+
+
+class Until(NamedTuple):
+    """When a study may stop: all standard errors of a metric are this small."""
+
+    metric: str
+    se: float
+
+
+class Design(NamedTuple):
+    """A study, checked and ready to run."""
+
+    scene: Part
+    methods: tuple[Part, ...]
+    metrics: tuple[Part, ...]
+    seed: int
+    trials: int  # at most, with `until`
+    chunk: int  # trials between two visits to the disk
+    micro_batch: int
+    until: Until | None
+    config: dict[str, Any]  # the file's tables, defaults filled in
+    text: str  # of the file
+    folder: pathlib.Path  # where it lies; its own functions are looked for here
+
+
+class _File(NamedTuple):
+    """A file that is being read, for messages that say where."""
+
+    name: str
+    text: str
+
+    def fail(self, path: tuple[str, ...], message: str) -> NoReturn:
+        raise StudyError(f"{self.name}:{line_of(self.text, path)}: {'.'.join(path)}: {message}")
+
+
+def read_design(file: pathlib.Path) -> Design:
+    """Read a study's file.
+
+    Raises:
+        StudyError: what is wrong, with line and key.
+        OSError: there is no such file.
+
+    Example:
+        >>> from jaxtrack.studies.functions import shipped_study
+        >>> design = read_design(shipped_study("crossing"))
+        >>> [method.name for method in design.methods]
+        ['modified', 'improved']
+    """
+    try:
+        text = file.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise StudyError(f"{file}: is not text in UTF-8") from error
+    return design_of(text, file.parent.resolve(), str(file))
+
+
+def design_of(text: str, folder: pathlib.Path, name: str = "study") -> Design:
+    """Return the study that a text describes.
+
+    Args:
+        text: TOML.
+        folder: where its own functions are looked for.
+        name: of the file, for messages.
+
+    Raises:
+        StudyError: what is wrong, with line and key.
+
+    Example:
+        >>> design_of("trials = 0", pathlib.Path())
+        Traceback (most recent call last):
+        jaxtrack.studies.design.StudyError: study:1: trials: got 0, want a whole number from 1 to 4294967296
+    """  # noqa: E501
+    try:
+        tables = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise StudyError(f"{name}: {error}") from error
+    file = _File(name, text)
+    for key in tables:
+        if key not in _TOP:
+            file.fail((key,), f"unknown key, want one of {', '.join(_TOP)}")
+    for key in ("trials", "scene", "method", "metric"):
+        if key not in tables:
+            file.fail((key,), "is missing")
+    config = {**_DEFAULTS, **tables}
+    _whole(file, config, "seed", 0, 2**31 - 1)
+    _whole(file, config, "trials", 1, _LAST_TRIAL)
+    _whole(file, config, "micro_batch", 1, _LAST_TRIAL)
+    _whole(file, config, "chunk", 1, _LAST_TRIAL)
+    if config["chunk"] % config["micro_batch"]:
+        at = "chunk" if "chunk" in tables else "micro_batch"
+        want = f"chunk ({config['chunk']}) a multiple of micro_batch ({config['micro_batch']})"
+        file.fail((at,), f"got {config[at]}, want {want}")
+
+    scene = _part(file, config["scene"], ("scene",), folder)
+    methods, metrics = (
+        tuple(
+            _part(file, table, (kind, name), folder)
+            for name, table in _table(file, config[kind], (kind,)).items()
+        )
+        for kind in ("method", "metric")
+    )
+    for metric in metrics:
+        for field in metric.grid:
+            wish = "want one value; a metric of another name may have another"
+            file.fail(("metric", metric.name, field), f"got a grid, {wish}")
+    if "trial" in scene.grid:
+        file.fail(("scene", "trial"), "got a grid, but this is the name of the trials' dimension")
+    until = _until(file, config, [metric.name for metric in metrics])
+    numbers = (config[key] for key in ("seed", "trials", "chunk", "micro_batch"))
+    return Design(scene, methods, metrics, *numbers, until, config, text, folder)
+
+
+def line_of(text: str, path: tuple[str, ...]) -> int:
+    """Return the line in which a key of a TOML text stands, or the nearest table around it.
+
+    Example:
+        >>> line_of("[a]\\nb = 1\\nc = [\\n2]", ("a", "c"))
+        3
+    """
+    lines, before = text.splitlines(), 0
+    for number in range(1, len(lines) + 1):
+        try:
+            known: Any = tomllib.loads("\n".join(lines[:number]))
+        except tomllib.TOMLDecodeError:  # in the middle of a value
+            continue
+        for key in path:
+            known = known.get(key) if isinstance(known, Mapping) else None
+        if known is not None:
+            return before + 1
+        before = number
+    return line_of(text, path[:-1]) if len(path) > 1 else 1
+
+
+def _table(file: _File, value: Any, path: tuple[str, ...]) -> dict[str, Any]:
+    if not isinstance(value, dict) or not value:
+        file.fail(path, f"got {value!r}, want a table with at least one entry")
+    return value
+
+
+def _whole(file: _File, config: Mapping[str, Any], key: str, least: int, most: int) -> None:
+    value = config[key]
+    if type(value) is not int or not least <= value <= most:
+        file.fail((key,), f"got {value!r}, want a whole number from {least} to {most}")
+
+
+def _until(file: _File, config: Mapping[str, Any], metrics: list[str]) -> Until | None:
+    if "until" not in config:
+        return None
+    table = _table(file, config["until"], ("until",))
+    if set(table) != {"metric", "se"}:
+        file.fail(("until",), f"got {', '.join(table)}, want metric and se")
+    if table["metric"] not in metrics:
+        file.fail(
+            ("until", "metric"), f"got {table['metric']!r}, want one of {', '.join(metrics)}"
+        )
+    se = table["se"]
+    if type(se) not in (int, float) or not 0 < se < math.inf:
+        file.fail(("until", "se"), f"got {se!r}, want a positive number")
+    return Until(table["metric"], float(se))
+
+
+def _part(file: _File, table: Any, path: tuple[str, ...], folder: pathlib.Path) -> Part:
+    table = _table(file, table, path)
+    kind, name = path[0], path[-1]
+    if not _NAME.fullmatch(name):
+        file.fail(path, "want a name of letters, digits, _ and -, that starts with a letter")
+    if not isinstance(table.get("function"), str):
+        file.fail((*path, "function"), f"got {table.get('function')!r}, want text")
+    try:
+        call = find_function(kind, table["function"], folder)
+    except (ValueError, ImportError, SyntaxError) as error:
+        file.fail((*path, "function"), str(error))
+    values = {key: value for key, value in table.items() if key not in ("function", "static")}
+    static = table.get("static", [])
+    if not isinstance(static, list) or not all(key in values for key in static):
+        file.fail((*path, "static"), f"got {static!r}, want a list of names of fields")
+    fields: dict[str, Any] = {}
+    grid: dict[str, tuple[Any, ...]] = {}
+    for key, value in values.items():
+        if isinstance(value, dict):
+            grid[key] = _grid(file, value, (*path, key))
+        else:
+            fields[key] = _value(file, value, (*path, key))
+    _check_call(file, call, values, path)
+    words = {key for key in values if isinstance(grid.get(key, (fields.get(key),))[0], (bool, str))}
+    return Part(".".join(path), name, call, fields, grid, frozenset(words | set(static)))
+
+
+def _value(file: _File, value: Any, path: tuple[str, ...]) -> Any:
+    """Return a field's value; of lists a tuple."""
+    if isinstance(value, list) and value:
+        if any(isinstance(entry, (bool, str)) for entry in value):
+            file.fail(path, f"got {value!r}, want numbers in a list")
+        return tuple(_value(file, entry, path) for entry in value)
+    if isinstance(value, (bool, str)):
+        return value
+    if not isinstance(value, (int, float)) or math.isnan(value):
+        file.fail(path, f"got {value!r}, want a number, text, true, false, or numbers in a list")
+    return value
+
+
+def _grid(file: _File, table: dict[str, Any], path: tuple[str, ...]) -> tuple[Any, ...]:
+    values = table.get("grid")
+    if set(table) != {"grid"} or not isinstance(values, list) or not values:
+        file.fail(path, f"got {table!r}, want {{ grid = [value, value, …] }}")
+    kinds = {type(value) for value in values}
+    alike = kinds <= {int, float} or kinds in ({str}, {bool})
+    if not alike or len(set(values)) < len(values):
+        file.fail(path, f"got {values!r}, want different values of one kind: numbers, text or bool")
+    return tuple(_value(file, value, path) for value in values)
+
+
+def _check_call(
+    file: _File, call: Callable[..., Any], values: Mapping[str, Any], path: tuple[str, ...]
+) -> None:
+    """Check that a function takes the fields that it will be given."""
+    try:
+        signature = inspect.signature(call)
+    except (TypeError, ValueError):  # some builtins have none
+        return
+    given = _GIVEN[path[0]]
+    parameters = signature.parameters.values()
+    if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
+        for key in values:
+            taken = signature.parameters.get(key)
+            if taken is None or taken.kind is taken.POSITIONAL_ONLY:
+                takes = f"{call.__name__}{signature}"
+                file.fail((*path, key), f"unknown field; the function is {takes}")
+    try:
+        signature.bind(*given, **values)
+    except TypeError as error:
+        wants = f"({', '.join(given)}, **fields)"
+        file.fail(path, f"{error}; the function is called with {wants}")
