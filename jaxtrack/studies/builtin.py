@@ -59,9 +59,7 @@ def random_targets(
     where, seen = jax.random.split(key)
     radar = sensors.Radar(p_detect, sigma_m, clutter_per_scan)
     limits = sensors.SceneLimits()
-    truth, _ = sensors.random_targets(
-        where, radar, limits, targets=targets, looks=looks, dt_s=dt_s
-    )
+    truth, _ = sensors.random_targets(where, radar, limits, targets=targets, looks=looks, dt_s=dt_s)
     return Looks(sensors.observe(seen, truth, radar, detections=detections), truth, radar)
 
 

@@ -83,9 +83,7 @@ def create(
     try:
         (folder / COMMITS).mkdir(parents=True, exist_ok=True)
         shutil.rmtree(half, ignore_errors=True)
-        group = zarr.create_group(
-            half, zarr_format=3, attributes={"format": FORMAT, **attributes}
-        )
+        group = zarr.create_group(half, zarr_format=3, attributes={"format": FORMAT, **attributes})
         for name, variable in variables.items():
             dtype = np.dtype(variable.dtype)
             array = group.create_array(

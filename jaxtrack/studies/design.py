@@ -27,7 +27,7 @@ from typing import Any, NamedTuple, NoReturn
 from jaxtrack.studies.functions import find_function
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
-_LAST_TRIAL = 2**32
+_MOST_TRIALS = 2**32
 _DEFAULTS = {"seed": 0, "chunk": 256, "micro_batch": 32}
 _TOP = ("seed", "trials", "chunk", "micro_batch", "until", "scene", "method", "metric")
 # What a function is given beside its fields.
@@ -103,7 +103,7 @@ def read_design(file: pathlib.Path) -> Design:
 
 
 def design_of(text: str, folder: pathlib.Path, name: str = "study") -> Design:
-    """Return the study that a text describes.
+    r"""Return the study that a text describes.
 
     Args:
         text: TOML.
@@ -114,10 +114,10 @@ def design_of(text: str, folder: pathlib.Path, name: str = "study") -> Design:
         StudyError: what is wrong, with line and key.
 
     Example:
-        >>> design_of("trials = 0", pathlib.Path())
+        >>> design_of("trials = 10\ntrails = 20", pathlib.Path())  # doctest: +ELLIPSIS
         Traceback (most recent call last):
-        jaxtrack.studies.design.StudyError: study:1: trials: got 0, want a whole number from 1 to 4294967296
-    """  # noqa: E501
+        jaxtrack.studies.design.StudyError: study:2: trails: unknown key, want one of seed, ...
+    """
     try:
         tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -131,9 +131,9 @@ def design_of(text: str, folder: pathlib.Path, name: str = "study") -> Design:
             file.fail((key,), "is missing")
     config = {**_DEFAULTS, **tables}
     _whole(file, config, "seed", 0, 2**31 - 1)
-    _whole(file, config, "trials", 1, _LAST_TRIAL)
-    _whole(file, config, "micro_batch", 1, _LAST_TRIAL)
-    _whole(file, config, "chunk", 1, _LAST_TRIAL)
+    _whole(file, config, "trials", 1, _MOST_TRIALS)
+    _whole(file, config, "micro_batch", 1, _MOST_TRIALS)
+    _whole(file, config, "chunk", 1, _MOST_TRIALS)
     if config["chunk"] % config["micro_batch"]:
         at = "chunk" if "chunk" in tables else "micro_batch"
         want = f"chunk ({config['chunk']}) a multiple of micro_batch ({config['micro_batch']})"
@@ -154,15 +154,39 @@ def design_of(text: str, folder: pathlib.Path, name: str = "study") -> Design:
     if "trial" in scene.grid:
         file.fail(("scene", "trial"), "got a grid, but this is the name of the trials' dimension")
     until = _until(file, config, [metric.name for metric in metrics])
-    numbers = (config[key] for key in ("seed", "trials", "chunk", "micro_batch"))
-    return Design(scene, methods, metrics, *numbers, until, config, text, folder)
+    return Design(
+        scene=scene,
+        methods=methods,
+        metrics=metrics,
+        seed=config["seed"],
+        trials=config["trials"],
+        chunk=config["chunk"],
+        micro_batch=config["micro_batch"],
+        until=until,
+        config=config,
+        text=text,
+        folder=folder,
+    )
+
+
+def axes_of(design: Design, method: Part) -> dict[str, tuple[Any, ...]]:
+    """Return the grid that a method is run on: the values along each dimension, by its name.
+
+    Example:
+        >>> from jaxtrack.studies.functions import shipped_study
+        >>> design = read_design(shipped_study("crossing"))
+        >>> list(axes_of(design, design.methods[1]))
+        ['sigma_m', 'improved.gate']
+    """
+    own = {f"{method.name}.{field}": values for field, values in method.grid.items()}
+    return {**design.scene.grid, **own}
 
 
 def line_of(text: str, path: tuple[str, ...]) -> int:
-    """Return the line in which a key of a TOML text stands, or the nearest table around it.
+    r"""Return the line in which a key of a TOML text stands, or the nearest table around it.
 
     Example:
-        >>> line_of("[a]\\nb = 1\\nc = [\\n2]", ("a", "c"))
+        >>> line_of("[a]\nb = 1\nc = [\n2]", ("a", "c"))
         3
     """
     lines, before = text.splitlines(), 0
@@ -198,9 +222,7 @@ def _until(file: _File, config: Mapping[str, Any], metrics: list[str]) -> Until 
     if set(table) != {"metric", "se"}:
         file.fail(("until",), f"got {', '.join(table)}, want metric and se")
     if table["metric"] not in metrics:
-        file.fail(
-            ("until", "metric"), f"got {table['metric']!r}, want one of {', '.join(metrics)}"
-        )
+        file.fail(("until", "metric"), f"got {table['metric']!r}, want one of {', '.join(metrics)}")
     se = table["se"]
     if type(se) not in (int, float) or not 0 < se < math.inf:
         file.fail(("until", "se"), f"got {se!r}, want a positive number")

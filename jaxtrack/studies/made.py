@@ -28,7 +28,9 @@ def decisive(design: Design) -> dict[str, Any]:
     made = made_with()
     names = ("jaxtrack", "jax", "jaxlib", "numpy", "processor", "dtype")
     # How many devices there are decides nothing, and says nothing about the compiler.
-    flags = re.sub(r"--xla_force_host_platform_device_count=\S*", "", os.environ.get("XLA_FLAGS", ""))
+    flags = re.sub(
+        r"--xla_force_host_platform_device_count=\S*", "", os.environ.get("XLA_FLAGS", "")
+    )
     return {
         **{name: made[name] for name in names},
         "device": sorted(set(made["devices"])),
@@ -50,7 +52,9 @@ def about(design: Design) -> dict[str, Any]:
         for part in (design.scene, *design.methods, *design.metrics)
         if (file := _file(part.call)) is not None and here.parents[1] not in file.parents
     ]
-    revisions = {str(file): _revision(file) for file in sorted({here.parents[1] / "__init__.py", *own})}
+    revisions = {
+        str(file): _revision(file) for file in sorted({here.parents[1] / "__init__.py", *own})
+    }
     return {**made_with(), "git": revisions}
 
 
@@ -78,8 +82,10 @@ def _short(value: Any) -> str:
 
 
 def _file(function: Any) -> pathlib.Path | None:
+    while isinstance(function, functools.partial):
+        function = function.func
     try:
-        return pathlib.Path(inspect.getsourcefile(function) or "").resolve()
+        return pathlib.Path(inspect.getsourcefile(inspect.unwrap(function)) or "").resolve()
     except TypeError:  # not written in Python
         return None
 
@@ -87,7 +93,9 @@ def _file(function: Any) -> pathlib.Path | None:
 def _digest(function: Any) -> str:
     """Return a digest of the file that a function stands in; of none for those without a file."""
     file = _file(function)
-    return "" if file is None or not file.is_file() else hashlib.sha256(file.read_bytes()).hexdigest()
+    return (
+        "" if file is None or not file.is_file() else hashlib.sha256(file.read_bytes()).hexdigest()
+    )
 
 
 @functools.cache

@@ -6,21 +6,15 @@ those of static fields. A chunk that is stored is read, not computed, so a study
 goes on where it was and ends in the same bytes.
 """
 
-import itertools
+import math
 import pathlib
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
-import numpy as np
-
-from jaxtrack.montecarlo import monte_carlo
 from jaxtrack.studies import chunks, made, summary
-from jaxtrack.studies.design import Design, Part, StudyError, design_of
-from jaxtrack.types import Array, Key
+from jaxtrack.studies.design import Design, StudyError, axes_of, design_of
+from jaxtrack.studies.trials import compute, programs_of, variables_of
 
 
 class Progress(NamedTuple):
@@ -40,15 +34,6 @@ class Outcome(NamedTuple):
     found: summary.Moments | None  # of the trials that count: whole chunks from the first on
     complete: bool
     damaged: tuple[int, ...]  # chunks with a record that does not fit
-
-
-class _Program(NamedTuple):
-    """What one compiled program computes of a method."""
-
-    method: Part
-    trial: Callable[[Key, Any], dict[str, Array]]
-    params: Any  # leaves [P, …]
-    cells: list[int]  # [P] of the method's
 
 
 def run_study(
@@ -76,43 +61,33 @@ def run_study(
         ... chunk = 32
         ... [scene]
         ... function = "jax.random:normal"
-        ... shape = [4]
-        ... static = ["shape"]
-        ... [method.mean]
-        ... function = "jax.numpy:mean"
-        ... [metric.larger]
-        ... function = "jax.numpy:less"
+        ... [method.size]
+        ... function = "jax.numpy:abs"
+        ... [metric.negative]
+        ... function = "operator:lt"
         ... '''
-        >>> text = text.replace("jax.numpy:less", "operator:lt").replace("[4]", "[]")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     outcome = run_study(design_of(text, pathlib.Path()), pathlib.Path(folder))
+        >>> bool(0.2 < outcome.found.mean["size.negative"] < 0.8)
+        True
     """
-    programs = [p for method in design.methods for p in _programs(design, method)]
-    variables = _variables(design, programs)
+    programs = programs_of(design)
+    variables = variables_of(design, programs)
     store = _open(design, folder, variables)
     chunks.check_writable(store)
     chunks.clean(store)
-    dims = {name: variable.dims for name, variable in variables.items()}
-    metric = design.until.metric if design.until else design.metrics[0].name
-    clock, computed = time.perf_counter(), 0.0
     found: summary.Moments | None = None
-
+    clock: tuple[int, float] | None = None  # the first chunk, which compiles, is not timed
     for number in range(store.count):
         first, end = store.span(number)
         values = chunks.read(store, number)
         if values is None:
-
-            def report(share: float, first: int = first, end: int = end) -> None:
-                new = share * (end - first)
-                rate = (computed + new) / (time.perf_counter() - clock)
-                last = None if found is None else summary.widest(design, found, metric)
-                on_progress(Progress(first + new, _total(design, found, last), rate, last))
-
-            values = _compute(design, programs, variables, first, end, report)
+            report = _reporter(design, first, end, found, clock, on_progress)
+            values = compute(design, programs, variables, first, end, report)
             chunks.write(store, number, values)
-            computed += end - first
-        found = summary.merged(found, summary.moments(design, dims, values))
-        if summary.enough(design, found):
-            break
-        if stopped():
+            clock = clock or (end, time.perf_counter())
+        found = summary.merged(found, summary.moments(design, values))
+        if summary.enough(design, found) or stopped():
             break
     return _outcome(design, store, found, ())
 
@@ -134,7 +109,6 @@ def status_of(folder: pathlib.Path) -> Outcome:
         StudyError: there is none, or it cannot be read.
     """
     design, store = open_study(folder), chunks.open_chunks(folder)
-    dims = {name: tuple(array.metadata.dimension_names[:-1]) for name, array in store.arrays.items()}
     found: summary.Moments | None = None
     records = sorted(chunks.committed(store))
     damaged = []
@@ -142,8 +116,8 @@ def status_of(folder: pathlib.Path) -> Outcome:
         values = chunks.read(store, number)
         if values is None:
             damaged.append(number)
-        elif place == number and not damaged:
-            found = summary.merged(found, summary.moments(design, dims, values))
+        elif place == number and not damaged and not (found and summary.enough(design, found)):
+            found = summary.merged(found, summary.moments(design, values))
     return _outcome(design, store, found, tuple(damaged))
 
 
@@ -167,7 +141,9 @@ def _open(
     if not (folder / chunks.RESULTS).exists():
         attributes = {
             **facts,
-            "labels": summary.labels_of(design),
+            "labels": {
+                k: v for method in design.methods for k, v in axes_of(design, method).items()
+            },
             "text": design.text,
             "folder": str(design.folder),
             "about": made.about(design),
@@ -184,134 +160,27 @@ def _open(
     return store
 
 
-def _programs(design: Design, method: Part) -> Iterator[_Program]:
-    """Return a method's programs: one for each choice of static values."""
-    axes = [(part, field) for part in (design.scene, method) for field in part.grid]
-    cells = list(itertools.product(*(part.grid[field] for part, field in axes)))
-    groups: dict[tuple[Any, ...], list[int]] = {}
-    for number, cell in enumerate(cells):
-        fixed = zip(axes, cell, strict=True)
-        key = tuple(value for (part, field), value in fixed if field in part.static)
-        groups.setdefault(key, []).append(number)
-    for members in groups.values():
-        chosen: dict[str, dict[str, list[Any]]] = {}  # values of all cells, by part and field
-        for part in (design.scene, method, *design.metrics):
-            chosen[part.where] = {
-                field: [value] * len(members) for field, value in part.fields.items()
-            }
-        for place, (part, field) in enumerate(axes):
-            chosen[part.where][field] = [cells[number][place] for number in members]
-        yield _program(design, method, chosen, members)
-
-
-def _program(
-    design: Design, method: Part, chosen: dict[str, dict[str, list[Any]]], cells: list[int]
-) -> _Program:
-    parts = (design.scene, method, *design.metrics)
-    dtype = np.dtype(jax.dtypes.canonicalize_dtype(float))
-    static = {
-        part.where: {f: v[0] for f, v in chosen[part.where].items() if f in part.static}
-        for part in parts
-    }
-    traced = {
-        part.where: {
-            f: np.asarray(v, dtype) for f, v in chosen[part.where].items() if f not in part.static
-        }
-        for part in parts
-    }
-
-    def call(part: Part, params: Any, *given: Any) -> Any:
-        with _named(part):
-            return part.call(*given, **static[part.where], **params[0][part.where])
-
-    def trial(key: Key, params: Any) -> dict[str, Array]:
-        scene = call(design.scene, params, key)
-        estimate = call(method, params, scene)
-        return {
-            metric.name: jnp.asarray(call(metric, params, scene, estimate))
-            for metric in design.metrics
-        }
-
-    # The cells' numbers are there for studies without any traced field.
-    return _Program(method, trial, (traced, np.arange(len(cells))), cells)
-
-
-@contextmanager
-def _named(part: Part) -> Iterator[None]:
-    """Say whose function it is that fails."""
-    try:
-        yield
-    except StudyError:
-        raise
-    except Exception as error:
-        text = " ".join(str(error).split())
-        text = text if len(text) < 300 else f"{text[:300]} …"
-        if isinstance(error, jax.errors.JAXTypeError) or "Trace" in text:
-            text += " (numbers are traced, unless `static` names their fields)"
-        trace, place = error.__traceback__, ""
-        while trace is not None:
-            code = trace.tb_frame.f_code
-            if code.co_filename == getattr(getattr(part.call, "__code__", None), "co_filename", 0):
-                place = f" ({code.co_filename}, line {trace.tb_lineno})"
-            trace = trace.tb_next
-        raise StudyError(f"{part.where}: {type(error).__name__}: {text}{place}") from error
-
-
-def _variables(design: Design, programs: list[_Program]) -> dict[str, chunks.Variable]:
-    """Return what is stored, by name: `<method>.<metric>`."""
-    found: dict[str, chunks.Variable] = {}
-    key = jax.random.key(design.seed)
-    for program in programs:
-        method = program.method
-        grid = {**design.scene.grid, **{f"{method.name}.{f}": v for f, v in method.grid.items()}}
-        first = jax.tree.map(lambda leaf: leaf[0], program.params)
-        for name, leaf in jax.eval_shape(program.trial, key, first).items():
-            full = f"{method.name}.{name}"
-            numeric = jnp.issubdtype(leaf.dtype, jnp.number) or leaf.dtype == jnp.bool_
-            if leaf.shape or not numeric or jnp.issubdtype(leaf.dtype, jnp.complexfloating):
-                got = f"{leaf.dtype} of shape {list(leaf.shape)}"
-                raise StudyError(f"metric.{name}: got {got} of method {method.name}, want a number")
-            shape = tuple(len(values) for values in grid.values())
-            variable = chunks.Variable(tuple(grid), shape, str(leaf.dtype))
-            if found.setdefault(full, variable) != variable:
-                both = f"{found[full].dtype} and {leaf.dtype}"
-                raise StudyError(f"metric.{name}: got {both}, want one dtype in all cells")
-    return found
-
-
-def _compute(
+def _reporter(
     design: Design,
-    programs: list[_Program],
-    variables: dict[str, chunks.Variable],
     first: int,
     end: int,
-    report: Callable[[float], None],
-) -> dict[str, np.ndarray]:
-    """Return a chunk's values, `[grid …, trials]`."""
-    flat = {
-        name: np.empty((int(np.prod(variable.shape)), end - first), variable.dtype)
-        for name, variable in variables.items()
-    }
-    for place, program in enumerate(programs):
-        run = monte_carlo(
-            program.trial,
-            jax.random.key(design.seed),
-            end - first,
-            program.params,
-            micro_batch=design.micro_batch,
-            first_trial=first,
-            batch_params=True,
-            on_progress=lambda done, all_, at=place: report((at + done / all_) / len(programs)),
-        )
-        for name, leaf in run.values.items():
-            flat[f"{program.method.name}.{name}"][program.cells] = leaf
-    return {name: x.reshape(*variables[name].shape, end - first) for name, x in flat.items()}
+    found: summary.Moments | None,
+    clock: tuple[int, float] | None,
+    on_progress: Callable[[Progress], None],
+) -> Callable[[float], None]:
+    """Return what a chunk calls with the share of it that is done."""
+    last, total, begun = None, float(design.trials), time.perf_counter()
+    since = clock or (first, begun)
+    if found is not None:
+        metric = design.until.metric if design.until else design.metrics[0].name
+        last = summary.widest(design, found, metric)
+        if design.until is not None and math.isfinite(last[2]):
+            # An error falls with the square root of the trials.
+            total = min(total, found.trials * (last[2] / design.until.se) ** 2)
 
+    def report(share: float) -> None:
+        done = first + share * (end - first)
+        rate = (done - since[0]) / (time.perf_counter() - since[1])
+        on_progress(Progress(done, max(total, done), rate, last))
 
-def _total(
-    design: Design, found: summary.Moments | None, last: tuple[str, float, float] | None
-) -> float:
-    """Return how many trials there will be; an error falls with their square root."""
-    if design.until is None or found is None or last is None or not np.isfinite(last[2]):
-        return design.trials
-    return min(design.trials, max(found.trials * (last[2] / design.until.se) ** 2, found.trials))
+    return report

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from jaxtrack.studies.design import Design
+from jaxtrack.studies.design import Design, axes_of
 
 
 class Moments(NamedTuple):
@@ -24,9 +24,7 @@ class Moments(NamedTuple):
     square: xr.Dataset  # Σ (x − mean)²
 
 
-def moments(
-    design: Design, dims: Mapping[str, tuple[str, ...]], values: Mapping[str, np.ndarray]
-) -> Moments:
+def moments(design: Design, values: Mapping[str, np.ndarray]) -> Moments:
     """Return the moments of a chunk, of variables and of paired differences.
 
     Every method is compared with the first, on the same draws: `b - a.metric` is what method b has
@@ -34,11 +32,17 @@ def moments(
 
     Args:
         design: of the study.
-        dims: of each variable, without the trials.
-        values: `[grid …, trials]`.
+        values: `[grid …, trials]` of each variable.
     """
     data = xr.Dataset(
-        {name: ((*dims[name], "trial"), x.astype(np.float64)) for name, x in values.items()}
+        {
+            f"{method.name}.{metric.name}": (
+                (*axes_of(design, method), "trial"),
+                values[f"{method.name}.{metric.name}"].astype(np.float64),
+            )
+            for method in design.methods
+            for metric in design.metrics
+        }
     )
     first, *others = (method.name for method in design.methods)
     pairs = {
@@ -101,12 +105,13 @@ def rows(design: Design, found: Moments) -> Iterable[dict[str, Any]]:
     errors = standard_errors(found)
     first = design.methods[0].name
     for method in design.methods:
+        labels = axes_of(design, method)
         own = found.mean[f"{method.name}.{design.metrics[0].name}"]
         for place in np.ndindex(own.shape):
             at = dict(zip(own.dims, place, strict=True))
-            labels = labels_of(design)
             row: dict[str, Any] = {
-                "method": method.name, **{str(d): labels[str(d)][n] for d, n in at.items()}
+                "method": method.name,
+                **{str(d): labels[str(d)][n] for d, n in at.items()},
             }
             for metric in design.metrics:
                 name = f"{method.name}.{metric.name}"
@@ -115,16 +120,6 @@ def rows(design: Design, found: Moments) -> Iterable[dict[str, Any]]:
                 if pair in found.mean and set(found.mean[pair].dims) == set(own.dims):
                     row[f"{metric.name} - {first}"] = _at(found.mean, errors, pair, at)
             yield row
-
-
-def labels_of(design: Design) -> dict[str, tuple[Any, ...]]:
-    """Return the values along every dimension but the trials'."""
-    parts = ((method.name + ".", method) for method in design.methods)
-    return {
-        f"{prefix}{field}": values
-        for prefix, part in (("", design.scene), *parts)
-        for field, values in part.grid.items()
-    }
 
 
 def _at(
