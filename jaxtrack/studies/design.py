@@ -93,7 +93,7 @@ def read_design(file: pathlib.Path) -> Design:
         >>> from jaxtrack.studies.functions import shipped_study
         >>> design = read_design(shipped_study("crossing"))
         >>> [method.name for method in design.methods]
-        ['modified', 'improved']
+        ['improved', 'joint']
     """
     try:
         text = file.read_text(encoding="utf-8")
@@ -176,7 +176,7 @@ def axes_of(design: Design, method: Part) -> dict[str, tuple[Any, ...]]:
         >>> from jaxtrack.studies.functions import shipped_study
         >>> design = read_design(shipped_study("crossing"))
         >>> list(axes_of(design, design.methods[1]))
-        ['sigma_m', 'improved.gate']
+        ['sigma_m', 'joint.gate']
     """
     own = {f"{method.name}.{field}": values for field, values in method.grid.items()}
     return {**design.scene.grid, **own}
