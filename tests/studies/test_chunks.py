@@ -231,8 +231,8 @@ def test_a_folder_that_must_not_be_written_is_said_and_can_be_read():
                     chunks.check_writable(again)
                 with pytest.raises(StudyError, match="trials 4 to 7 could not be written"):
                     chunks.write(again, 1, values(1))
+                other = folder.parent / "other"
                 with pytest.raises(StudyError, match="cannot be made: Permission denied"):
-                    other = folder.parent / "other"
                     chunks.create(other, ABOUT, trials=10, chunk=4, attributes={})
         finally:
             for path in paths:
