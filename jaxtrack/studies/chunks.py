@@ -125,9 +125,9 @@ def open_chunks(folder: pathlib.Path) -> Chunks:
         if attributes["format"] != FORMAT:
             kind = f"has format {attributes['format']}, this version of jaxtrack reads {FORMAT}"
             raise StudyError(f"{folder}: the store {kind}")
-        arrays = {
-            name: array.with_config({"write_empty_chunks": True}) for name, array in group.arrays()
-        }
+        # What equals the fill value is written too, so that a file that is lost is missed.
+        with zarr.config.set({"array.write_empty_chunks": True}):
+            arrays = dict(group.arrays())
         some = next(iter(arrays.values()))
         return Chunks(folder, some.shape[-1], some.chunks[-1], attributes, arrays)
     except StudyError:
