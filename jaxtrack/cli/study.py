@@ -3,6 +3,7 @@
 import contextlib
 import math
 import pathlib
+import shutil
 import signal
 import sys
 import time
@@ -32,9 +33,10 @@ def study(
         out: of run: the folder for the results; results/NAME if it is not given.
     """
     use_all_cores()
-    from jaxtrack.studies.design import StudyError, read_design
+    from jaxtrack.studies.design import read_design
     from jaxtrack.studies.functions import shipped_study
     from jaxtrack.studies.run import open_study, run_study, status_of
+    from jaxtrack.studies.study_file import StudyError
 
     if out is not None and action != "run":
         return fail(f"--out: is for run alone; {action} takes the folder itself")
@@ -79,8 +81,9 @@ def _interrupts() -> Iterator[Callable[[], bool]]:
 def _progress_line() -> Iterator[Callable[["Progress"], None]]:
     """Show progress on one line of a terminal; without one, a line from time to time."""
     screen = sys.stderr
-    every_s = 0.2 if screen.isatty() else _SAY_AFTER_S
-    said = time.monotonic() - (every_s if screen.isatty() else 0)
+    drawn = screen.isatty()
+    every_s = 0.2 if drawn else _SAY_AFTER_S
+    said = time.monotonic() - (every_s if drawn else 0)
 
     def report(progress: "Progress") -> None:
         nonlocal said
@@ -88,13 +91,16 @@ def _progress_line() -> Iterator[Callable[["Progress"], None]]:
             return
         said = time.monotonic()
         text = progress_text(progress)
-        print(f"\r\x1b[K{text}" if screen.isatty() else text, end="", file=screen)
-        print("", end="" if screen.isatty() else "\n", file=screen, flush=True)
+        if drawn:  # a line that wraps could not be drawn over
+            width = shutil.get_terminal_size().columns - 1
+            print(f"\r\x1b[K{text[:width]}", end="", file=screen, flush=True)
+        else:
+            print(text, file=screen, flush=True)
 
     try:
         yield report
     finally:
-        if screen.isatty():
+        if drawn:
             print("\r\x1b[K", end="", file=screen, flush=True)
 
 

@@ -22,8 +22,8 @@ import xarray as xr
 import zarr
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
-from jaxtrack.studies.design import StudyError
 from jaxtrack.studies.store import RESULTS
+from jaxtrack.studies.study_file import StudyError
 
 FORMAT = 1
 COMMITS = "commits"
@@ -113,7 +113,7 @@ def open_chunks(folder: pathlib.Path) -> Chunks:
     Example:
         >>> open_chunks(pathlib.Path("nowhere"))
         Traceback (most recent call last):
-        jaxtrack.studies.design.StudyError: nowhere: there is no study here
+        jaxtrack.studies.study_file.StudyError: nowhere: there is no study here
     """
     if not (folder / RESULTS).exists():
         raise StudyError(f"{folder}: there is no study here")
@@ -268,7 +268,7 @@ def _sync(paths: Iterable[pathlib.Path]) -> None:
     for path in paths:
         if path.is_dir() and os.name != "posix":  # cannot be opened elsewhere
             continue
-        handle = os.open(path, os.O_RDONLY)
+        handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
         try:
             os.fsync(handle)
         finally:

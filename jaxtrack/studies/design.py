@@ -25,6 +25,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, NoReturn
 
 from jaxtrack.studies.functions import find_function
+from jaxtrack.studies.study_file import StudyError, StudyFile
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 _MOST_TRIALS = 2**32
@@ -32,10 +33,6 @@ _DEFAULTS = {"seed": 0, "chunk": 256, "micro_batch": 32}
 _TOP = ("seed", "trials", "chunk", "micro_batch", "until", "scene", "method", "metric")
 # What a function is given beside its fields.
 _GIVEN = {"scene": ("key",), "method": ("scene",), "metric": ("scene", "estimate")}
-
-
-class StudyError(ValueError):
-    """What is wrong with a study, its file or its folder, in one line."""
 
 
 class Part(NamedTuple):
@@ -72,16 +69,6 @@ class Design(NamedTuple):
     folder: pathlib.Path  # where it lies; its own functions are looked for here
 
 
-class _File(NamedTuple):
-    """A file that is being read, for messages that say where."""
-
-    name: str
-    text: str
-
-    def fail(self, path: tuple[str, ...], message: str) -> NoReturn:
-        raise StudyError(f"{self.name}:{line_of(self.text, path)}: {'.'.join(path)}: {message}")
-
-
 def read_design(file: pathlib.Path) -> Design:
     """Read a study's file.
 
@@ -102,13 +89,16 @@ def read_design(file: pathlib.Path) -> Design:
     return design_of(text, file.parent.resolve(), str(file))
 
 
-def design_of(text: str, folder: pathlib.Path, name: str = "study") -> Design:
+def design_of(
+    text: str, folder: pathlib.Path, name: str = "study", *, functions: bool = True
+) -> Design:
     r"""Return the study that a text describes.
 
     Args:
         text: TOML.
         folder: where its own functions are looked for.
         name: of the file, for messages.
+        functions: look for them; a study without can be shown, not run.
 
     Raises:
         StudyError: what is wrong, with line and key.
@@ -116,13 +106,13 @@ def design_of(text: str, folder: pathlib.Path, name: str = "study") -> Design:
     Example:
         >>> design_of("trials = 10\ntrails = 20", pathlib.Path())  # doctest: +ELLIPSIS
         Traceback (most recent call last):
-        jaxtrack.studies.design.StudyError: study:2: trails: unknown key, want one of seed, ...
+        jaxtrack.studies.study_file.StudyError: study:2: trails: unknown key, want one of seed, ...
     """
     try:
         tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise StudyError(f"{name}: {error}") from error
-    file = _File(name, text)
+    file = StudyFile(name, text)
     for key in tables:
         if key not in _TOP:
             file.fail((key,), f"unknown key, want one of {', '.join(_TOP)}")
@@ -139,10 +129,11 @@ def design_of(text: str, folder: pathlib.Path, name: str = "study") -> Design:
         want = f"chunk ({config['chunk']}) a multiple of micro_batch ({config['micro_batch']})"
         file.fail((at,), f"got {config[at]}, want {want}")
 
-    scene = _part(file, config["scene"], ("scene",), folder)
+    where = folder if functions else None
+    scene = _part(file, config["scene"], ("scene",), where)
     methods, metrics = (
         tuple(
-            _part(file, table, (kind, name), folder)
+            _part(file, table, (kind, name), where)
             for name, table in _table(file, config[kind], (kind,)).items()
         )
         for kind in ("method", "metric")
@@ -151,6 +142,10 @@ def design_of(text: str, folder: pathlib.Path, name: str = "study") -> Design:
         for field in metric.grid:
             wish = "want one value; a metric of another name may have another"
             file.fail(("metric", metric.name, field), f"got a grid, {wish}")
+        for method in methods:
+            if metric.name in method.grid:
+                at = ("method", method.name, metric.name)
+                file.fail(at, "got a grid, but a metric has this name")
     if "trial" in scene.grid:
         file.fail(("scene", "trial"), "got a grid, but this is the name of the trials' dimension")
     until = _until(file, config, [metric.name for metric in metrics])
@@ -182,40 +177,19 @@ def axes_of(design: Design, method: Part) -> dict[str, tuple[Any, ...]]:
     return {**design.scene.grid, **own}
 
 
-def line_of(text: str, path: tuple[str, ...]) -> int:
-    r"""Return the line in which a key of a TOML text stands, or the nearest table around it.
-
-    Example:
-        >>> line_of("[a]\nb = 1\nc = [\n2]", ("a", "c"))
-        3
-    """
-    lines, before = text.splitlines(), 0
-    for number in range(1, len(lines) + 1):
-        try:
-            known: Any = tomllib.loads("\n".join(lines[:number]))
-        except tomllib.TOMLDecodeError:  # in the middle of a value
-            continue
-        for key in path:
-            known = known.get(key) if isinstance(known, Mapping) else None
-        if known is not None:
-            return before + 1
-        before = number
-    return line_of(text, path[:-1]) if len(path) > 1 else 1
-
-
-def _table(file: _File, value: Any, path: tuple[str, ...]) -> dict[str, Any]:
+def _table(file: StudyFile, value: Any, path: tuple[str, ...]) -> dict[str, Any]:
     if not isinstance(value, dict) or not value:
         file.fail(path, f"got {value!r}, want a table with at least one entry")
     return value
 
 
-def _whole(file: _File, config: Mapping[str, Any], key: str, least: int, most: int) -> None:
+def _whole(file: StudyFile, config: Mapping[str, Any], key: str, least: int, most: int) -> None:
     value = config[key]
     if type(value) is not int or not least <= value <= most:
         file.fail((key,), f"got {value!r}, want a whole number from {least} to {most}")
 
 
-def _until(file: _File, config: Mapping[str, Any], metrics: list[str]) -> Until | None:
+def _until(file: StudyFile, config: Mapping[str, Any], metrics: list[str]) -> Until | None:
     if "until" not in config:
         return None
     table = _table(file, config["until"], ("until",))
@@ -229,7 +203,7 @@ def _until(file: _File, config: Mapping[str, Any], metrics: list[str]) -> Until 
     return Until(table["metric"], float(se))
 
 
-def _part(file: _File, table: Any, path: tuple[str, ...], folder: pathlib.Path) -> Part:
+def _part(file: StudyFile, table: Any, path: tuple[str, ...], folder: pathlib.Path | None) -> Part:
     table = _table(file, table, path)
     kind, name = path[0], path[-1]
     if not _NAME.fullmatch(name):
@@ -237,7 +211,7 @@ def _part(file: _File, table: Any, path: tuple[str, ...], folder: pathlib.Path) 
     if not isinstance(table.get("function"), str):
         file.fail((*path, "function"), f"got {table.get('function')!r}, want text")
     try:
-        call = find_function(kind, table["function"], folder)
+        call = _absent if folder is None else find_function(kind, table["function"], folder)
     except (ValueError, ImportError, SyntaxError) as error:
         file.fail((*path, "function"), str(error))
     values = {key: value for key, value in table.items() if key not in ("function", "static")}
@@ -256,7 +230,11 @@ def _part(file: _File, table: Any, path: tuple[str, ...], folder: pathlib.Path) 
     return Part(".".join(path), name, call, fields, grid, frozenset(words | set(static)))
 
 
-def _value(file: _File, value: Any, path: tuple[str, ...]) -> Any:
+def _absent(*given: Any, **fields: Any) -> NoReturn:
+    raise StudyError("the study was read without its functions")
+
+
+def _value(file: StudyFile, value: Any, path: tuple[str, ...]) -> Any:
     """Return a field's value; of lists a tuple."""
     if isinstance(value, list) and value:
         if any(isinstance(entry, (bool, str)) for entry in value):
@@ -269,10 +247,10 @@ def _value(file: _File, value: Any, path: tuple[str, ...]) -> Any:
     return value
 
 
-def _grid(file: _File, table: dict[str, Any], path: tuple[str, ...]) -> tuple[Any, ...]:
+def _grid(file: StudyFile, table: dict[str, Any], path: tuple[str, ...]) -> tuple[Any, ...]:
     values = table.get("grid")
     if set(table) != {"grid"} or not isinstance(values, list) or not values:
-        file.fail(path, f"got {table!r}, want {{ grid = [value, value, …] }}")
+        file.fail(path, f"got {table!r}, want {{ grid = [value, …] }}")
     kinds = {type(value) for value in values}
     alike = kinds <= {int, float} or kinds in ({str}, {bool})
     if not alike or len(set(values)) < len(values):
@@ -281,7 +259,7 @@ def _grid(file: _File, table: dict[str, Any], path: tuple[str, ...]) -> tuple[An
 
 
 def _check_call(
-    file: _File, call: Callable[..., Any], values: Mapping[str, Any], path: tuple[str, ...]
+    file: StudyFile, call: Callable[..., Any], values: Mapping[str, Any], path: tuple[str, ...]
 ) -> None:
     """Check that a function takes the fields that it will be given."""
     try:

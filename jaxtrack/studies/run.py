@@ -13,7 +13,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from jaxtrack.studies import chunks, made, summary
-from jaxtrack.studies.design import Design, StudyError, axes_of, design_of
+from jaxtrack.studies.design import Design, axes_of, design_of
+from jaxtrack.studies.study_file import StudyError
 from jaxtrack.studies.trials import compute, programs_of, variables_of
 
 
@@ -98,17 +99,17 @@ def open_study(folder: pathlib.Path) -> Design:
     Raises:
         StudyError: there is none, or its functions are gone.
     """
-    attributes = chunks.open_chunks(folder).attributes
-    return design_of(attributes["text"], pathlib.Path(attributes["folder"]), f"{folder}'s study")
+    return _design_in(chunks.open_chunks(folder), functions=True)
 
 
 def status_of(folder: pathlib.Path) -> Outcome:
-    """Return where the study in a folder stands; computes nothing, writes nothing.
+    """Return where the study in a folder stands; computes and writes nothing, needs no function.
 
     Raises:
         StudyError: there is none, or it cannot be read.
     """
-    design, store = open_study(folder), chunks.open_chunks(folder)
+    store = chunks.open_chunks(folder)
+    design = _design_in(store, functions=False)
     found: summary.Moments | None = None
     records = sorted(chunks.committed(store))
     damaged = []
@@ -119,6 +120,11 @@ def status_of(folder: pathlib.Path) -> Outcome:
         elif place == number and not damaged and not (found and summary.enough(design, found)):
             found = summary.merged(found, summary.moments(design, values))
     return _outcome(design, store, found, tuple(damaged))
+
+
+def _design_in(store: chunks.Chunks, *, functions: bool) -> Design:
+    text, folder = store.attributes["text"], pathlib.Path(store.attributes["folder"])
+    return design_of(text, folder, f"{store.folder}'s study", functions=functions)
 
 
 def _outcome(
@@ -157,6 +163,9 @@ def _open(
         raise StudyError(
             f"{folder}: holds another study's trials; what differs: {'; '.join(differing)}"
         )
+    missing = sorted(variables.keys() - store.arrays.keys())
+    if missing:
+        raise StudyError(f"{folder}: {', '.join(missing)} is missing there")
     return store
 
 

@@ -15,7 +15,8 @@ import numpy as np
 
 from jaxtrack.montecarlo import monte_carlo
 from jaxtrack.studies.chunks import Variable
-from jaxtrack.studies.design import Design, Part, StudyError, axes_of
+from jaxtrack.studies.design import Design, Part, axes_of
+from jaxtrack.studies.study_file import StudyError
 from jaxtrack.types import Array, Key
 
 

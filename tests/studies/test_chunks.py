@@ -13,7 +13,7 @@ import zarr
 
 from jaxtrack.studies import chunks
 from jaxtrack.studies.chunks import Variable
-from jaxtrack.studies.design import StudyError
+from jaxtrack.studies.study_file import StudyError
 from tests.studies.own_study import bytes_in
 
 ABOUT = {

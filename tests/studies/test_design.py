@@ -4,7 +4,8 @@ import pathlib
 
 import pytest
 
-from jaxtrack.studies.design import StudyError, axes_of, line_of, read_design
+from jaxtrack.studies.design import axes_of, read_design
+from jaxtrack.studies.study_file import StudyError, line_of
 from tests.studies.own_study import BESIDE, FILE, FUNCTIONS, written
 
 
@@ -45,6 +46,7 @@ def test_lines_are_those_of_the_file():
     assert line_of(text, ("missing",)) == 1
 
 
+KIND = "19: method.shrunk.kind: got a grid, but a metric has this name"
 WRONG = [
     ("trials = 40", "trials = 0", "3: trials: got 0, want a whole number from 1"),
     ("trials = 40", 'trials = "40"', "3: trials: got '40', want a whole number"),
@@ -58,12 +60,14 @@ WRONG = [
     ("count = 5", "count = nan", "10: scene.count: got nan, want a number"),
     ("count = 5", "count = 1979-05-27", "10: scene.count: got datetime.date"),
     ("count = 5", "count = ['a']", "10: scene.count: got ['a'], want numbers in a list"),
-    ("[1.0, 4]", "[]", "9: scene.sigma_m: got {'grid': []}, want { grid = [value"),
+    ("[1.0, 4]", "[]", "9: scene.sigma_m: got {'grid': []}, want { grid = [value, …] }"),
     ("[1.0, 4]", "[1.0, 1]", "9: scene.sigma_m: got [1.0, 1], want different values of one kind"),
     ("[1.0, 4]", "[1.0, 'a']", "9: scene.sigma_m: got [1.0, 'a'], want different values"),
     ("{ grid = [1.0, 4] }", "{ gird = [1] }", "9: scene.sigma_m: got {'gird': [1]}"),
     ("limit_m = 0.5", "", "metric.beyond: missing a required argument: 'limit_m'; the function"),
     ("limit_m = 0.5", "limit_m = { grid = [1, 2] }", "metric.beyond.limit_m: got a grid"),
+    ("factor =", "beyond =", "unknown field; the function is shrunk(points, *, factor"),
+    ('["mean", "median"] }', '["a", "b"] }\n[metric.kind]\nfunction = "mine:error_m"', KIND),
     ("mine:mean", "mine:men", "14: method.mean.function: got 'mine:men', but mine has no function"),
     ("mine:mean", "yours:mean", "14: method.mean.function: No module named 'yours'"),
     ("mine:mean", "mean", "14: method.mean.function: got 'mean', want one of standard, modified"),

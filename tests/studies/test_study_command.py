@@ -1,8 +1,10 @@
 """`jaxtrack study`, the page of the documentation on it, and the study that comes along."""
 
+import io
 import os
 import pathlib
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -121,6 +123,8 @@ def test_functions_that_are_gone_are_an_error_and_lose_nothing(study, tmp_path):
     code, _, err = study("resume", "here")
     assert code == 2
     assert "here's study:8: scene.function: No module named 'mine'" in err
+    code, out, _ = study("status", "here")  # needs none of them
+    assert (code, out.splitlines()[0]) == (0, "here: 40 of 40 trials")
     assert bytes_in(tmp_path / "here") == before
 
 
@@ -130,6 +134,30 @@ def test_progress_is_one_line_with_what_is_left():
     assert (
         progress_text(Progress(0.0, 10.0, 0.0, None)) == "0 %, 0 of 10 trials, 0 a second, ? left"
     )
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_a_terminal_gets_one_line_that_is_drawn_again(study, monkeypatch):
+    screen = Terminal()
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.setenv("COLUMNS", "30")
+    assert study("run", "study.toml")[0] == 0
+    drawn = screen.getvalue().split("\r\x1b[K")
+    assert drawn[0] == drawn[-1] == ""
+    assert re.match(r"\d+ %, \d+ of 40 trials", drawn[1])
+    assert max(map(len, drawn)) <= 29
+    assert "\n" not in screen.getvalue()
+
+
+def test_a_variable_that_is_gone_is_said(study, tmp_path):
+    study("run", "study.toml", "--out", "here")
+    shutil.rmtree(tmp_path / "here" / "results.zarr" / "mean.error_m")
+    code, _, err = study("resume", "here")
+    assert (code, err) == (2, "jaxtrack: here: mean.error_m is missing there\n")
 
 
 def test_progress_comes_with_every_chunk(tmp_path):
