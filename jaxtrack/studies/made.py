@@ -10,10 +10,18 @@ import subprocess
 from collections.abc import Mapping
 from typing import Any
 
+import jax
+
 from jaxtrack.studies.design import Design
 from jaxtrack.studies.store import made_with, source_digest
 
 _ABSENT = "nothing"
+# Settings of JAX that change draws or sums.
+_SETTINGS = (
+    "jax_default_prng_impl",
+    "jax_threefry_partitionable",
+    "jax_default_matmul_precision",
+)
 
 
 def decisive(design: Design) -> dict[str, Any]:
@@ -36,6 +44,7 @@ def decisive(design: Design) -> dict[str, Any]:
         "device": sorted(set(made["devices"])),
         "cpu": _cpu(),
         "xla_flags": " ".join(sorted(flags.split())),
+        "settings": {name: str(getattr(jax.config, name)) for name in _SETTINGS},
         "source": source_digest(),
         "functions": {
             part.where: _digest(part.call)

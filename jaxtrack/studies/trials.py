@@ -77,10 +77,12 @@ def _program(
     def trial(key: Key, params: Any) -> dict[str, Array]:
         scene = call(design.scene, params, key)
         estimate = call(method, params, scene)
-        return {
-            metric.name: jnp.asarray(call(metric, params, scene, estimate))
-            for metric in design.metrics
-        }
+        found = {}
+        for metric in design.metrics:
+            value = call(metric, params, scene, estimate)
+            with _named(metric):
+                found[metric.name] = jnp.asarray(value)
+        return found
 
     # The cells' numbers are there for studies without any traced field.
     return Program(method, trial, (traced, np.arange(len(cells))), cells)
