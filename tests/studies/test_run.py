@@ -251,12 +251,13 @@ def test_metadata_says_what_made_it(done):
 
 def killed_and_resumed(tmp_path, kills, seed):
     """Return the bytes of a study that was killed so often, and of one that was not."""
-    trials = 8 * 20 * (kills + 1)  # twenty chunks between two kills, were they even
+    trials = 8 * 30 * (kills + 1)
     design = read_design(written(tmp_path, FILE.replace("trials = 40", f"trials = {trials}")))
     whole, out = tmp_path / "whole", tmp_path / "out"
     seen = []
     assert run_study(design, whole, on_progress=lambda _: seen.append(time.perf_counter())).complete
-    span_s = (seen[-1] - seen[0]) / (kills + 1)
+    # Half of what there is time for: a child on a quieter machine must not come to its end.
+    span_s = (seen[-1] - seen[0]) / (2 * (kills + 1))
     draw = random.Random(seed)
     died = 0
     for turn in range(kills):
