@@ -1,4 +1,4 @@
-"""The command line: start and follow tracks in a file, list the studies, reproduce them.
+"""The command line: tracks in a file, the papers' studies, and studies of one's own.
 
 Thin on purpose: it reads options, calls the library and prints. Users' errors are one line on
 stderr and exit code 2.
@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from jaxtrack.cli.files import estimate, initiate, track
 from jaxtrack.cli.screen import fail
 from jaxtrack.cli.studies import list_studies, reproduce
+from jaxtrack.cli.study import study
 
 _EXTRAS = ("tyro", "rich", "matplotlib", "mpl_toolkits", "xarray", "zarr")
 
@@ -38,6 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             "track": track,
             "list": list_studies,
             "reproduce": reproduce,
+            "study": study,
         }
         return tyro.extras.subcommand_cli_from_dict(
             commands,  # pyright: ignore[reportArgumentType]

@@ -3,6 +3,9 @@
 A study is one entry of `STUDIES`. It simulates with `jaxtrack.monte_carlo`, prints tables made by
 `studies.tables` (ours, the paper's words, the mark, the verdict) and saves labelled results and a
 summary through `studies.store`. The same seed and number of trials give the same results.
+
+Studies from files are apart: `design` reads one, `functions` finds what it names, `trials`
+computes, `chunks` stores, `summary` tells, `run` does it all; see docs/studies.md.
 """
 
 from jaxtrack.studies.ccm import STUDY as _CCM

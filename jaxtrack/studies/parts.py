@@ -1,6 +1,5 @@
 """Trials kept on disk while a study runs, so that an interrupted one goes on where it was."""
 
-import functools
 import hashlib
 import pathlib
 import shutil
@@ -12,6 +11,7 @@ import numpy as np
 
 from jaxtrack.montecarlo import monte_carlo
 from jaxtrack.studies.registry import Context
+from jaxtrack.studies.store import source_digest
 from jaxtrack.types import Key
 
 FOLDER = "parts"
@@ -101,9 +101,6 @@ def _digest(key: Key, trials: int, params: Any) -> str:
     return digest.hexdigest()
 
 
-@functools.cache
 def _program() -> str:
     """Return the versions, and a digest of the package's own source."""
-    here = pathlib.Path(__file__).parents[1]
-    source = b"".join(file.read_bytes() for file in sorted(here.rglob("*.py")))
-    return f"{jax.__version__} {np.__version__} {hashlib.sha256(source).hexdigest()}"
+    return f"{jax.__version__} {np.__version__} {source_digest()}"

@@ -4,6 +4,8 @@ results.zarr/<group>    one xarray Dataset a group
 summary.json            seed, trials, versions, machine, verdicts and whatever the study adds
 """
 
+import functools
+import hashlib
 import importlib.metadata
 import json
 import os
@@ -73,6 +75,14 @@ def made_with() -> dict[str, Any]:
         "devices": [device.platform for device in devices],
         "dtype": str(np.dtype(jax.dtypes.canonicalize_dtype(float))),
     }
+
+
+@functools.cache
+def source_digest() -> str:
+    """Return a digest of the package's own source."""
+    here = pathlib.Path(__file__).parents[1]
+    source = b"".join(file.read_bytes() for file in sorted(here.rglob("*.py")))
+    return hashlib.sha256(source).hexdigest()
 
 
 def _plain(value: Any) -> Any:

@@ -1,0 +1,187 @@
+"""Commands on studies from files: run, go on, look."""
+
+import contextlib
+import math
+import pathlib
+import shutil
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, Literal
+
+from jaxtrack.cli.screen import console_of_tables, fail, line, use_all_cores
+
+if TYPE_CHECKING:
+    from jaxtrack.studies.run import Outcome, Progress
+
+_SAY_AFTER_S = 30.0  # without a terminal, progress is a line that often
+
+
+def study(
+    action: Literal["run", "resume", "status"],
+    target: pathlib.Path,
+    /,
+    *,
+    out: pathlib.Path | None = None,
+) -> int:
+    """Run a study that a TOML file describes, go on with it, or see how far it is.
+
+    Args:
+        action: run a file (and go on, if its folder is there); resume or show a folder.
+        target: of run: a TOML file, or the name of one that comes with jaxtrack; else a folder.
+        out: of run: the folder for the results; results/NAME if it is not given.
+    """
+    use_all_cores()
+    from jaxtrack.studies.design import read_design
+    from jaxtrack.studies.functions import shipped_study
+    from jaxtrack.studies.run import open_study, run_study, status_of
+    from jaxtrack.studies.study_file import StudyError
+
+    if out is not None and action != "run":
+        return fail(f"--out: is for run alone; {action} takes the folder itself")
+    try:
+        if action == "status":
+            _show(status_of(target), target)
+            return 0
+        if action == "resume":
+            design, folder = open_study(target), target
+        else:
+            shipped = shipped_study(target.name)
+            known = not target.exists() and target.parent == pathlib.Path() and shipped.exists()
+            design = read_design(shipped if known else target)
+            folder = pathlib.Path("results") / target.stem if out is None else out
+        with _interrupts() as stopped, _progress_line() as report:
+            outcome = run_study(design, folder, on_progress=report, stopped=stopped)
+    except (StudyError, OSError) as error:
+        return fail(line(error))
+    _show(outcome, folder)
+    return 0 if outcome.complete else 130
+
+
+@contextlib.contextmanager
+def _interrupts() -> Iterator[Callable[[], bool]]:
+    """Turn the first Ctrl-C into a wish to stop; the second one stops at once."""
+    asked = False
+
+    def ask(number: int, frame: Any) -> None:
+        nonlocal asked
+        asked = True
+        signal.signal(signal.SIGINT, before)
+        print("\nends after this chunk; Ctrl-C again: at once", file=sys.stderr)
+
+    before = signal.signal(signal.SIGINT, ask)
+    try:
+        yield lambda: asked
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextlib.contextmanager
+def _progress_line() -> Iterator[Callable[["Progress"], None]]:
+    """Show progress on one line of a terminal; without one, a line from time to time."""
+    screen = sys.stderr
+    drawn = screen.isatty()
+    every_s = 0.2 if drawn else _SAY_AFTER_S
+    said = time.monotonic() - (every_s if drawn else 0)
+
+    def report(progress: "Progress") -> None:
+        nonlocal said
+        if time.monotonic() - said < every_s:
+            return
+        said = time.monotonic()
+        text = progress_text(progress)
+        if drawn:  # a line that wraps could not be drawn over
+            width = shutil.get_terminal_size().columns - 1
+            print(f"\r\x1b[K{text[:width]}", end="", file=screen, flush=True)
+        else:
+            print(text, file=screen, flush=True)
+
+    try:
+        yield report
+    finally:
+        if drawn:
+            print("\r\x1b[K", end="", file=screen, flush=True)
+
+
+def progress_text(progress: "Progress") -> str:
+    """Return share done, trials, rate, time left and the metric that is known least.
+
+    Example:
+        >>> from jaxtrack.studies.run import Progress
+        >>> progress_text(Progress(250, 1000, 50.0, ("mean.error_m", 1.25, 0.031)))
+        '25 %, 250 of 1000 trials, 50 a second, 15 s left, mean.error_m 1.25 ± .031'
+    """
+    done, total, rate = progress.done, progress.total, progress.rate
+    left = _duration(max(total - done, 0) / rate) if rate > 0 else "?"
+    share = math.floor(100 * min(done / total, 1))
+    text = f"{share} %, {done:.0f} of {total:.0f} trials, {rate:.3g} a second, {left} left"
+    if progress.last is None:
+        return text
+    name, mean, error = progress.last
+    return f"{text}, {name} {_figure(mean, error)}"
+
+
+def _show(outcome: "Outcome", folder: pathlib.Path) -> None:
+    """Print how far a study is, its table, and how to go on."""
+    from rich.table import Table
+
+    from jaxtrack.studies import summary
+
+    console = console_of_tables()
+    design, found = outcome.design, outcome.found
+    trials = 0 if found is None else found.trials
+    rule = ""
+    if design.until is not None:
+        rule = f", or until the standard errors of {design.until.metric} are {design.until.se:g}"
+    console.print(f"{folder}: {trials} of {design.trials} trials{rule}", highlight=False)
+    if found is not None:
+        rows = list(summary.rows(design, found))
+        heads = list(dict.fromkeys(key for row in rows for key in row))
+        heads.sort(key=lambda head: isinstance(_first(rows, head), tuple))  # the fields first
+        table = Table(box=None, pad_edge=False)
+        for head in heads:
+            table.add_column(head, justify="left" if head == "method" else "right")
+        for row in rows:
+            table.add_row(*(_cell(row.get(head)) for head in heads))
+        console.print(table, markup=False)
+    if outcome.damaged:
+        numbers = ", ".join(map(str, outcome.damaged))
+        console.print(f"damaged, computed again when resumed: chunk {numbers}", highlight=False)
+    if outcome.complete:
+        console.print("complete", highlight=False)
+    else:
+        console.print(f"to go on: jaxtrack study resume {folder}", highlight=False, soft_wrap=True)
+
+
+def _first(rows: list[dict[str, Any]], head: str) -> Any:
+    return next(row[head] for row in rows if head in row)
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    return _figure(*value) if isinstance(value, tuple) else str(value)
+
+
+def _figure(mean: float, error: float) -> str:
+    from jaxtrack.studies.tables import number
+
+    return f"{number(mean)} ± {number(error)}"
+
+
+def _duration(seconds: float) -> str:
+    """Return seconds in words, days at most.
+
+    Example:
+        >>> _duration(5000.0)
+        '83 minutes'
+    """
+    for least, unit, name in (
+        (48 * 3600, 86400, "days"),
+        (7200, 3600, "hours"),
+        (120, 60, "minutes"),
+    ):
+        if seconds >= least:
+            return f"{seconds / unit:.0f} {name}"
+    return f"{seconds:.0f} s"

@@ -1,0 +1,195 @@
+"""Runs a study: chunks of trials through `monte_carlo`, onto the disk, until there are enough.
+
+Trial t has the key fold_in(key(seed), t) in every cell and with every method, so methods are
+compared on the same draws. A method is one program; its cells differ in traced values, but for
+those of static fields. A chunk that is stored is read, not computed, so a study that was stopped
+goes on where it was and ends in the same bytes.
+"""
+
+import math
+import pathlib
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+from jaxtrack.studies import chunks, made, summary
+from jaxtrack.studies.design import Design, axes_of, design_of
+from jaxtrack.studies.study_file import StudyError
+from jaxtrack.studies.trials import compute, programs_of, variables_of
+
+
+class Progress(NamedTuple):
+    """How far a study is."""
+
+    done: float  # trials of every cell
+    total: float  # that there will be; with `until`, as the errors so far let expect
+    rate: float  # trials a second, this session
+    last: tuple[str, float, float] | None  # variable, mean, standard error: the widest
+
+
+class Outcome(NamedTuple):
+    """Where a study stands."""
+
+    design: Design
+    store: chunks.Chunks
+    found: summary.Moments | None  # of the trials that count: whole chunks from the first on
+    complete: bool
+    damaged: tuple[int, ...]  # chunks with a record that does not fit
+
+
+def run_study(
+    design: Design,
+    folder: pathlib.Path,
+    *,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+    stopped: Callable[[], bool] = lambda: False,
+) -> Outcome:
+    """Run a study, or go on with it, and return where it then stands.
+
+    Args:
+        design: of the study.
+        folder: for its results; one that holds them already must be of the same study.
+        on_progress: called now and then.
+        stopped: asked after each chunk whether that was the last for now.
+
+    Raises:
+        StudyError: a function does not fit, the folder is of another study, or the disk fails.
+
+    Example:
+        >>> import tempfile
+        >>> text = '''
+        ... trials = 64
+        ... chunk = 32
+        ... [scene]
+        ... function = "jax.random:normal"
+        ... [method.size]
+        ... function = "jax.numpy:abs"
+        ... [metric.negative]
+        ... function = "operator:lt"
+        ... '''
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     outcome = run_study(design_of(text, pathlib.Path()), pathlib.Path(folder))
+        >>> bool(0.2 < outcome.found.mean["size.negative"] < 0.8)
+        True
+    """
+    programs = programs_of(design)
+    variables = variables_of(design, programs)
+    store = _open(design, folder, variables)
+    chunks.check_writable(store)
+    chunks.clean(store)
+    found: summary.Moments | None = None
+    clock: tuple[int, float] | None = None  # the first chunk, which compiles, is not timed
+    for number in range(store.count):
+        first, end = store.span(number)
+        values = chunks.read(store, number)
+        if values is None:
+            report = _reporter(design, first, end, found, clock, on_progress)
+            values = compute(design, programs, variables, first, end, report)
+            chunks.write(store, number, values)
+            clock = clock or (end, time.perf_counter())
+        found = summary.merged(found, summary.moments(design, values))
+        if summary.enough(design, found) or stopped():
+            break
+    return _outcome(design, store, found, ())
+
+
+def open_study(folder: pathlib.Path) -> Design:
+    """Return the design of the study in a folder.
+
+    Raises:
+        StudyError: there is none, or its functions are gone.
+    """
+    return _design_in(chunks.open_chunks(folder), functions=True)
+
+
+def status_of(folder: pathlib.Path) -> Outcome:
+    """Return where the study in a folder stands; computes and writes nothing, needs no function.
+
+    Raises:
+        StudyError: there is none, or it cannot be read.
+    """
+    store = chunks.open_chunks(folder)
+    design = _design_in(store, functions=False)
+    found: summary.Moments | None = None
+    records = sorted(chunks.committed(store))
+    damaged = []
+    for place, number in enumerate(records):
+        values = chunks.read(store, number)
+        if values is None:
+            damaged.append(number)
+        elif place == number and not damaged and not (found and summary.enough(design, found)):
+            found = summary.merged(found, summary.moments(design, values))
+    return _outcome(design, store, found, tuple(damaged))
+
+
+def _design_in(store: chunks.Chunks, *, functions: bool) -> Design:
+    text, folder = store.attributes["text"], pathlib.Path(store.attributes["folder"])
+    return design_of(text, folder, f"{store.folder}'s study", functions=functions)
+
+
+def _outcome(
+    design: Design,
+    store: chunks.Chunks,
+    found: summary.Moments | None,
+    damaged: tuple[int, ...],
+) -> Outcome:
+    complete = found is not None and (
+        found.trials == design.trials or summary.enough(design, found)
+    )
+    return Outcome(design, store, found, complete, damaged)
+
+
+def _open(
+    design: Design, folder: pathlib.Path, variables: dict[str, chunks.Variable]
+) -> chunks.Chunks:
+    """Return the folder's store, a new one if there is none; refuse another study's."""
+    facts = {"study": design.config, "made_with": made.decisive(design)}
+    if not (folder / chunks.RESULTS).exists():
+        attributes = {
+            **facts,
+            "labels": {
+                k: v for method in design.methods for k, v in axes_of(design, method).items()
+            },
+            "text": design.text,
+            "folder": str(design.folder),
+            "about": made.about(design),
+        }
+        return chunks.create(
+            folder, variables, trials=design.trials, chunk=design.chunk, attributes=attributes
+        )
+    store = chunks.open_chunks(folder)
+    differing = made.differences({key: store.attributes.get(key) for key in facts}, facts)
+    if differing:
+        raise StudyError(
+            f"{folder}: holds another study's trials; what differs: {'; '.join(differing)}"
+        )
+    missing = sorted(variables.keys() - store.arrays.keys())
+    if missing:
+        raise StudyError(f"{folder}: {', '.join(missing)} is missing there")
+    return store
+
+
+def _reporter(
+    design: Design,
+    first: int,
+    end: int,
+    found: summary.Moments | None,
+    clock: tuple[int, float] | None,
+    on_progress: Callable[[Progress], None],
+) -> Callable[[float], None]:
+    """Return what a chunk calls with the share of it that is done."""
+    last, total, begun = None, float(design.trials), time.perf_counter()
+    since = clock or (first, begun)
+    if found is not None:
+        metric = design.until.metric if design.until else design.metrics[0].name
+        last = summary.widest(design, found, metric)
+        if design.until is not None and math.isfinite(last[2]):
+            # An error falls with the square root of the trials.
+            total = min(total, found.trials * (last[2] / design.until.se) ** 2)
+
+    def report(share: float) -> None:
+        done = first + share * (end - first)
+        rate = (done - since[0]) / (time.perf_counter() - since[1])
+        on_progress(Progress(done, max(total, done), rate, last))
+
+    return report

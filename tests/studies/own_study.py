@@ -1,0 +1,117 @@
+"""A study of one's own, as tests write it into a folder: its functions and its file."""
+
+import json
+import os
+import pathlib
+
+import jax
+
+FUNCTIONS = """
+import jax
+import jax.numpy as jnp
+
+from beside import absolute
+
+
+def points(key, *, sigma_m, count):
+    return sigma_m * jax.random.normal(key, (count,))
+
+
+def mean(points):
+    return points.mean()
+
+
+def shrunk(points, *, factor, kind="mean"):
+    return factor * (points.mean() if kind == "mean" else jnp.median(points))
+
+
+def error_m(points, estimate):
+    return absolute(estimate)
+
+
+def beyond(points, estimate, *, limit_m):
+    return absolute(estimate) > limit_m
+
+
+def nothing(points, estimate):
+    return jnp.where(estimate > 0, estimate, jnp.nan)
+
+
+def vector(points, estimate):
+    return points
+
+
+def words(points, estimate):
+    return "far"
+
+
+def broken(points):
+    raise KeyError("nowhere")
+"""
+BESIDE = "import jax.numpy as jnp\n\n\ndef absolute(x):\n    return jnp.abs(x)\n"
+FILE = """
+seed = 3
+trials = 40
+chunk = 8
+micro_batch = 4
+
+[scene]
+function = "mine:points"
+sigma_m = { grid = [1.0, 4] }
+count = 5
+static = ["count"]
+
+[method.mean]
+function = "mine:mean"
+
+[method.shrunk]
+function = "mine:shrunk"
+factor = { grid = [0.5, 0.9, 1] }
+kind = { grid = ["mean", "median"] }
+
+[metric.error_m]
+function = "mine:error_m"
+
+[metric.beyond]
+function = "mine:beyond"
+limit_m = 0.5
+"""
+
+
+def written(folder: pathlib.Path, file: str = FILE, functions: str = FUNCTIONS) -> pathlib.Path:
+    """Write a study into a folder and return its file."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "mine.py").write_text(functions)
+    (folder / "beside.py").write_text(BESIDE)
+    path = folder / "study.toml"
+    path.write_text(file)
+    return path
+
+
+def bytes_in(folder: pathlib.Path) -> dict[str, bytes]:
+    """Return what all files of a folder hold, by name."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def results_in(folder: pathlib.Path) -> dict[str, bytes]:
+    """Return the same, without what tells of the machine: how many devices there were."""
+    found = bytes_in(folder)
+    root = json.loads(found.pop("results.zarr/zarr.json"))
+    assert root["attributes"].pop("about")["devices"]
+    return {**found, "root": json.dumps(root).encode()}
+
+
+def environment(devices: int) -> dict[str, str]:
+    """Return the environment in which another process computes the same bits as this one."""
+    return {
+        **os.environ,
+        "JAX_ENABLE_X64": "1",
+        "JAX_NUM_CPU_DEVICES": str(devices),
+        "JAX_COMPILATION_CACHE_DIR": str(jax.config.jax_compilation_cache_dir),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "PYTHONPATH": str(pathlib.Path(__file__).parents[2]),
+    }

@@ -1,0 +1,211 @@
+"""`jaxtrack study`, the page of the documentation on it, and the study that comes along."""
+
+import io
+import os
+import pathlib
+import re
+import shutil
+import signal
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pytest
+
+from jaxtrack.cli import main
+from jaxtrack.cli.study import progress_text
+from jaxtrack.studies import chunks, run
+from jaxtrack.studies.design import read_design
+from jaxtrack.studies.functions import shipped_study
+from jaxtrack.studies.run import Progress
+from jaxtrack.studies.trials import programs_of, variables_of
+from tests.studies.own_study import FILE, bytes_in, environment, written
+
+ROOT = pathlib.Path(__file__).parents[2]
+
+
+@pytest.fixture
+def study(tmp_path, monkeypatch, capsys):
+    """Return a runner `study(*arguments) -> (exit code, stdout, stderr)`, beside a study's file."""
+    written(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def study(*arguments):
+        code = main(["study", *arguments])
+        out, err = capsys.readouterr()
+        assert "Traceback" not in out + err
+        return code, out, err
+
+    return study
+
+
+def test_a_study_of_ones_own_runs_and_is_shown(study):
+    code, out, err = study("run", "study.toml")
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[0] == "results/study: 40 of 40 trials"
+    heads = "method  sigma_m  shrunk.factor  shrunk.kind  error_m  beyond  error_m - mean"
+    assert lines[1].split()[:7] == heads.replace("error_m - mean", "error_m").split()
+    assert lines[-1] == "complete"
+    assert len(lines) == 1 + 1 + 14 + 1
+    assert study("status", "results/study") == (0, out, "")
+    assert study("resume", "results/study") == (0, out, "")
+
+
+def test_an_interrupt_ends_after_the_chunk_and_says_how_to_go_on(study, monkeypatch):
+    write, written_chunks = chunks.write, []
+
+    def interrupted(store, number, values):
+        if number == 1:
+            os.kill(os.getpid(), signal.SIGINT)
+        write(store, number, values)
+        written_chunks.append(number)
+
+    with monkeypatch.context() as within:
+        within.setattr(chunks, "write", interrupted)
+        code, out, err = study("run", "study.toml", "--out", "here")
+    assert code == 130
+    assert written_chunks == [0, 1]
+    assert "ends after this chunk" in err
+    assert out.splitlines()[0] == "here: 16 of 40 trials"
+    assert out.splitlines()[-1] == "to go on: jaxtrack study resume here"
+    code, out, _ = study("resume", "here")
+    assert (code, out.splitlines()[0]) == (0, "here: 40 of 40 trials")
+    study("run", "study.toml")
+    assert bytes_in(pathlib.Path("here")) == bytes_in(pathlib.Path("results/study"))
+
+
+def test_a_second_interrupt_ends_at_once(study, monkeypatch):
+    def interrupted(store, number, values):
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(chunks, "write", interrupted)
+    code, _, err = study("run", "study.toml")
+    assert code == 130
+    assert "jaxtrack: interrupted" in err
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_damage_is_shown(study):
+    study("run", "study.toml", "--out", "here")
+    (pathlib.Path("here") / "results.zarr" / "mean.beyond" / "c" / "0" / "1").write_bytes(b"")
+    _, out, _ = study("status", "here")
+    assert out.splitlines()[0] == "here: 8 of 40 trials"
+    assert "damaged, computed again when resumed: chunk 1" in out
+    assert "jaxtrack study resume here" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("run", "nowhere.toml"), "nowhere.toml: No such file"),
+        (("run", "wrong.toml"), "wrong.toml:3: trials: got 0"),
+        (("resume", "nowhere"), "nowhere: there is no study here"),
+        (("status", "nowhere"), "nowhere: there is no study here"),
+        (("status", "nowhere", "--out", "x"), "--out: is for run alone"),
+    ],
+)
+def test_users_errors_are_one_line(study, arguments, message):
+    pathlib.Path("wrong.toml").write_text(FILE.replace("trials = 40", "trials = 0"))
+    code, out, err = study(*arguments)
+    assert (code, out) == (2, "")
+    assert len(err.splitlines()) == 1
+    assert err.startswith(f"jaxtrack: {message}")
+
+
+def test_functions_that_are_gone_are_an_error_and_lose_nothing(study, tmp_path):
+    study("run", "study.toml", "--out", "here")
+    before = bytes_in(tmp_path / "here")
+    pathlib.Path("mine.py").unlink()
+    code, _, err = study("resume", "here")
+    assert code == 2
+    assert "here's study:8: scene.function: No module named 'mine'" in err
+    code, out, _ = study("status", "here")  # needs none of them
+    assert (code, out.splitlines()[0]) == (0, "here: 40 of 40 trials")
+    assert bytes_in(tmp_path / "here") == before
+
+
+def test_progress_is_one_line_with_what_is_left():
+    text = progress_text(Progress(250.0, 1000.0, 0.1, ("mean.error_m", 1.25, 0.031)))
+    assert text == "25 %, 250 of 1000 trials, 0.1 a second, 2 hours left, mean.error_m 1.25 ± .031"
+    assert (
+        progress_text(Progress(0.0, 10.0, 0.0, None)) == "0 %, 0 of 10 trials, 0 a second, ? left"
+    )
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_a_terminal_gets_one_line_that_is_drawn_again(study, monkeypatch):
+    screen = Terminal()
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.setenv("COLUMNS", "30")
+    assert study("run", "study.toml")[0] == 0
+    drawn = screen.getvalue().split("\r\x1b[K")
+    assert drawn[0] == drawn[-1] == ""
+    assert re.match(r"\d+ %, \d+ of 40 trials", drawn[1])
+    assert max(map(len, drawn)) <= 29
+    assert "\n" not in screen.getvalue()
+
+
+def test_a_variable_that_is_gone_is_said(study, tmp_path):
+    study("run", "study.toml", "--out", "here")
+    shutil.rmtree(tmp_path / "here" / "results.zarr" / "mean.error_m")
+    code, _, err = study("resume", "here")
+    assert (code, err) == (2, "jaxtrack: here: mean.error_m is missing there\n")
+
+
+def test_progress_comes_with_every_chunk(tmp_path):
+    seen = []
+    design = read_design(written(tmp_path))
+    run.run_study(design, tmp_path / "out", on_progress=seen.append)
+    done = [progress.done for progress in seen]
+    assert done == sorted(done)
+    assert done[-1] == 40.0
+    assert {8.0, 16.0, 24.0, 32.0} <= set(done)
+    assert all(progress.rate > 0 for progress in seen)
+    assert seen[0].last is None
+    assert seen[-1].last[0] in ("mean.error_m", "shrunk.error_m")
+
+
+def test_the_example_of_the_documentation_is_true(tmp_path):
+    text = (ROOT / "docs" / "studies.md").read_text()
+    for block in re.findall(r"```\w+\n(.*?)```", text, re.DOTALL):
+        (tmp_path / re.match(r"# (\S+)\n", block)[1]).write_text(block)
+    command = [sys.executable, "-m", "jaxtrack.cli", "study", "run", "middles.toml"]
+    settings = {"cwd": tmp_path, "capture_output": True, "text": True, "check": True}
+    single = {**environment(1), "JAX_ENABLE_X64": "0"}
+    out = subprocess.run(command, env=single, **settings).stdout.splitlines()
+    first = text.index("    results/middles")
+    told = [line.strip() for line in text[first:].split("\n\n")[0].splitlines()]
+    assert len(out) == len(told) == 12
+    assert out[0] == told[0]
+    assert out[1].split() == told[1].split()
+    numbers = lambda line: [float(x) for x in re.findall(r"-?\d*\.\d+", line)]
+    for ours, theirs in zip(out, told, strict=True):
+        np.testing.assert_allclose(numbers(ours), numbers(theirs), atol=0.002)
+    read = [sys.executable, "read.py"]
+    assert subprocess.run(read, env=single, **settings).stdout.startswith("[[0.")
+
+
+def test_the_study_that_comes_along_fits_its_functions():
+    design = read_design(shipped_study("crossing"))
+    variables = variables_of(design, programs_of(design))
+    assert set(variables) == {"improved.found", "improved.false", "joint.found", "joint.false"}
+    assert variables["joint.found"].dims == ("sigma_m", "joint.gate")
+    assert jax.numpy.issubdtype(variables["joint.found"].dtype, jax.numpy.integer)
+
+
+@pytest.mark.slow
+def test_the_study_that_comes_along_runs_by_its_name(study):
+    code, out, _ = study("run", "crossing")
+    assert code == 0
+    assert out.splitlines()[0].startswith("results/crossing: ")
+    found = [float(line.split()[3]) for line in out.splitlines() if line.startswith("joint")]
+    assert len(found) == 6
+    assert min(found) > 2.5
