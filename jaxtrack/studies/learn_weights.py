@@ -181,7 +181,7 @@ STUDY = Study(
     source="this library",
     trials_short=2,
     trials_full=1000,
-    seconds_short=25.0,
+    seconds_short=60.0,
     seconds_full=900.0,
     run=run,
 )
