@@ -41,8 +41,9 @@ def echo_log_ratio(amplitude: Array, mask: Array, echo: Echo, share: Array | flo
     Example:
         >>> amplitude = jnp.array([[0.5, 0.6, 4.0, 0.5], [3.0, 2.6, 4.0, 3.5]])
         >>> ratio = echo_log_ratio(amplitude, jnp.ones((2, 4), bool), Echo(12.0), 0.1)
-        >>> print(ratio[:, 2].round(1))  # the same echo among faint and among loud clutter
-        [7.6 0.8]
+        >>> faint, loud = ratio[:, 2]  # the same echo among faint and among loud clutter
+        >>> print(f"{faint:.1f} {loud:.1f}")
+        7.3 1.8
     """
     dtype = amplitude.dtype
     texture, stationary, chain = _chain(jnp.asarray(echo.correlation_beams, dtype))
