@@ -77,6 +77,7 @@ def test_a_window_estimator_gives_the_same_tracks(tmp_path):
         np.testing.assert_allclose(found[name], value, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_tracker_exported_as_a_step_gives_the_same_tracks(tmp_path):
     scans = looks_at_targets()
     params = tracking.KalmanTrackerParams(10.0, 1.0, 0.99, 1e-9, birth_sigma_m_s=300.0)

@@ -107,8 +107,10 @@ def results_in(folder: pathlib.Path) -> dict[str, bytes]:
 
 def environment(devices: int) -> dict[str, str]:
     """Return the environment in which another process computes the same bits as this one."""
+    # Workers of a parallel test run are told a width of their own.
+    inherited = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
     return {
-        **os.environ,
+        **inherited,
         "JAX_ENABLE_X64": "1",
         "JAX_NUM_CPU_DEVICES": str(devices),
         "JAX_COMPILATION_CACHE_DIR": str(jax.config.jax_compilation_cache_dir),

@@ -125,6 +125,7 @@ def test_the_tables_show_what_looks_held_and_count_no_pings_among_the_sweeps():
     assert not set(ccm.pinged()) & set(swept.columns[0].cells)
 
 
+@pytest.mark.slow
 def test_drawn_echoes_are_the_sensors_and_all_seen_at_once():
     found = looks("C", "echoes")
     truth = meeting_targets(KEYS[0], situations()["C"].meeting)

@@ -38,6 +38,7 @@ def test_the_ratio_is_that_of_an_integral_over_the_textures(amplitude):
     np.testing.assert_allclose(ratio[0], expected, atol=0.05)
 
 
+@pytest.mark.slow
 def test_a_silent_beam_is_a_gap_in_the_chain():
     amplitude = jnp.array([[0.4, jnp.nan, 1.5]])
     mask = jnp.array([[True, False, True]])
@@ -102,6 +103,7 @@ def test_the_loss_of_tracks_is_smooth_in_what_is_trained(monkeypatch):
     assert np.abs(slope).max() > 1e-2
 
 
+@pytest.mark.slow
 def test_the_rival_is_no_target_and_the_best_of_what_is_left():
     window = simulate(jax.random.key(3))
     ratio = learn_weights_trial.true_log_ratio(window.scans)
@@ -185,6 +187,7 @@ def test_settings_are_chosen_on_other_scenes_and_the_gap_is_closed_in_shares():
     assert list(table.columns[3].cells) == ["", ".000", ".700", ".800", "1"]
 
 
+@pytest.mark.slow
 def test_scores_of_the_specification_are_slopes_of_the_density_and_mean_nothing():
     spec = learn_sensitivity.Specification(3.0, 0.05, 0.3, 0.4)
     draws = learn_sensitivity.draw(jax.random.key(0))

@@ -81,6 +81,7 @@ def test_a_table_has_every_setting_and_its_standard_error():
     assert cells[5][:3] == ["", "", "100"]
 
 
+@pytest.mark.slow
 def test_the_loss_is_smooth_in_both_tolerances():
     loss, key = loss_from("centre"), jax.random.key(1)
 

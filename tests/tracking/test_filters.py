@@ -248,6 +248,7 @@ def test_gradients_agree_with_central_differences(name):
     assert_gradients_agree(loss, *values, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_single_precision_stays_and_is_finite_also_where_a_target_passes_the_sensor():
     scans = scene(1, polar=True)
     scans = scans._replace(range_m=np.where(np.arange(LOOKS)[:, None] > 8, 0.0, scans.range_m))

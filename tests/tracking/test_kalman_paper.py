@@ -123,6 +123,7 @@ def test_settings_are_the_papers_as_worked_out_by_hand():
         np.testing.assert_allclose(info.tracks.covariance[0, 0], expected, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_to_the_letter_a_distant_target_is_never_held():
     for start, place, held in (
         ("detection", (120.0, 80.0), True),
@@ -156,6 +157,7 @@ def test_looks_that_are_none_change_nothing_and_vmap_is_a_loop():
     chex.assert_trees_all_equal(before, none)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", ["detection", "origin"])
 def test_gradients_agree_with_central_differences(start):
     scans = scene(1, far_m=15.0)
@@ -171,6 +173,7 @@ def test_gradients_agree_with_central_differences(start):
     assert all(np.abs(g).max() > 1e-4 for g in found)
 
 
+@pytest.mark.slow
 def test_single_precision_stays_single():
     single = jax.tree.map(
         lambda x: x.astype(np.float32) if x.dtype == float else x, scene(0, far_m=15.0)

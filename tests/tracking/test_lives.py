@@ -72,6 +72,7 @@ def test_tracks_tend_to_those_with_hard_lives():
     assert none < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_jitted_gradients_equal_differences(seed):
     of = functools.partial(loss, scene(seed))
@@ -79,6 +80,7 @@ def test_jitted_gradients_equal_differences(seed):
     assert (np.abs(gradient) > 1e-6).all()  # all five count
 
 
+@pytest.mark.slow
 def test_slopes_are_finite_where_there_is_nothing_or_too_much():
     plain = scene(5)
     full = plain._replace(position_m=np.nan_to_num(plain.position_m))
@@ -94,6 +96,7 @@ def test_slopes_are_finite_where_there_is_nothing_or_too_much():
             assert np.isfinite(slopes(case, numbers)).all(), (name, numbers)
 
 
+@pytest.mark.slow
 def test_single_precision_stays_single_and_its_slopes_are_near():
     scans = scene(2)
     single = Scan(*(None if x is None else np.asarray(x, x.dtype if x.dtype == bool else np.float32)

@@ -99,6 +99,7 @@ def test_no_pings_no_echoes_and_too_many(run):
     assert (scan.mask.shape, bool(info.overflow)) == ((2,), True)
 
 
+@pytest.mark.slow
 def test_float32_one_trace_and_wrong_arguments(run):
     traces = []
 

@@ -78,7 +78,9 @@ def follow(truth, scans):
     tracks = jax.tree.map(
         lambda x: x[LEAD:, :2], info.tracks._replace(time_s=whole.time_s[:, None])
     )
-    return tracks.mean[..., :2], tracks.mask & (tracks.identity == jnp.arange(2)[None, :])
+    return tracks.mean[..., :2], tracks.mask & (
+        tracks.identity == jnp.arange(2, dtype=jnp.int32)[None, :]
+    )
 
 
 def loss(scene, key):

@@ -102,6 +102,7 @@ def straight_looks(sigma_m):
     return Scan(t, np.ones(50, bool), np.where(mask[..., None], at[:, None], np.nan), mask)
 
 
+@pytest.mark.slow
 def test_the_likelihood_of_a_filter_is_best_at_the_noise_that_there_was():
     scans = straight_looks(2.0)
     value, slope = jax.jit(jax.value_and_grad(filtered))(2.0, scans)

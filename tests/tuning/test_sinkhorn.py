@@ -201,6 +201,7 @@ def test_values_and_slopes_are_finite_and_of_one_precision(dtype):
                         assert np.isfinite(leaf).all()
 
 
+@pytest.mark.slow
 def test_single_precision_agrees():
     for seed in range(5):
         one = smooth()(*sets(seed, dtype=np.float32), *np.float32([8.0, 2.0, 0.1]))
