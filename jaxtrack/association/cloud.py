@@ -15,6 +15,7 @@ from jaxtrack.association.gating import Association, AssociationParams, Gated, P
 from jaxtrack.association.nearest import greedy_pairs
 from jaxtrack.clustering.cloud import CloudMeans, cloud_cmeans
 from jaxtrack.numerics.checks import check_choice
+from jaxtrack.numerics.masked import masked_mean
 from jaxtrack.types import Array, Key, Scan
 
 PAIRINGS = ("class", "nearest")
@@ -162,7 +163,10 @@ def _associate(
     weight = jnp.ones_like(places[:, 0]) if scan.weight is None else scan.weight
     weight = jnp.where(counts, weight, 0.0)
     if scan.covariance_m2 is None:
-        noise = jnp.broadcast_to(jnp.diagonal(predicted.noise_m2), places.shape)
+        each = jnp.diagonal(predicted.noise_m2, axis1=-2, axis2=-1)
+        if each.ndim == 2:  # a class is no track's yet: what they have on the average
+            each = masked_mean(each, predicted.mask[:, None], axis=0)
+        noise = jnp.broadcast_to(each, places.shape)
     else:
         own = jnp.diagonal(scan.covariance_m2, axis1=1, axis2=2)
         noise = jnp.where(counts[:, None], own, 1.0)

@@ -13,6 +13,7 @@ from jaxtrack.association import (
     ASSOCIATORS,
     Association,
     AssociationParams,
+    Predicted,
     cloud,
     gate,
     likelihood_ratios,
@@ -21,6 +22,7 @@ from jaxtrack.association import (
     update_mixture,
     update_single,
 )
+from jaxtrack.types import Scan
 from tests.association.cases import KINDS, SIZES, as_lists, as_table, case, cases, predicted_of
 from tests.oracles import association, pmht
 from tests.oracles import cloud as clouds
@@ -356,3 +358,18 @@ def test_errors_name_the_argument():
         predict_measurement(one.mean, one.covariance[:, :2, :2], one.noise_m2)
     with pytest.raises(ValueError, match=r"scan.weight: got shape \[1\], want \[5\]"):
         gate(predicted, one.scan._replace(weight=np.ones(1)))
+
+
+@pytest.mark.parametrize("associate", [cloud.averaged, cloud.soft])
+def test_clouds_take_a_covariance_of_each_track(associate):
+    places = jnp.array([[0.0, 0.0], [4.0, 0.0], [np.nan, np.nan]])
+    spread, noise = jnp.stack([jnp.eye(2)] * 3), jnp.diag(jnp.array([0.3, 0.5]))
+    mask = jnp.array([True, True, False])
+    shared = Predicted(places, spread, noise, mask)
+    own = shared._replace(noise_m2=jnp.stack([noise, noise, jnp.full((2, 2), jnp.nan)]))
+    at = jnp.array([[0.1, 0.2], [1.0, 0.0], [4.0, 1.0]])
+    scan = Scan(jnp.array(0.0), jnp.array(True), at, jnp.ones(3, bool))
+    params = AssociationParams(0.9, 1e-3)
+    want = associate(shared, scan, params).weight
+    np.testing.assert_allclose(associate(own, scan, params).weight, want, atol=1e-12)
+    assert want[:2].sum() > 1.5
