@@ -67,8 +67,8 @@ def linked(
     check_mask("mask", here, shape=(number,))
     heavy = jnp.ones(number, dtype) if weights is None else weights
     check_array("weights", heavy, shape=(number,))
-    gaps = check_positive("gap", gap, dtype)
-    check_array("gap", gaps, shape=(number,) if jnp.ndim(gaps) else ())
+    check_array("gap", gap, shape=(number,) if jnp.ndim(gap) else ())
+    gaps = check_positive("gap", jnp.where(here, gap, 1.0) if jnp.ndim(gap) else gap, dtype)
     gaps = jax.lax.stop_gradient(jnp.broadcast_to(gaps, (number,)))
 
     clean = jnp.where(here[:, None], points, 0.0)

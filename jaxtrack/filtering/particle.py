@@ -72,7 +72,7 @@ class ParticleInfo(NamedTuple):
     log_likelihood: Array  # [] of this observation alone; 0 where there was none
     resampled: Array  # []
     vanished: Array  # [] True: all weights were zero, and the old ones were kept
-    unsound: Array  # [] True: a transition or likelihood was NaN or +inf; it weighs nothing
+    unsound: Array  # [] True: a transition, density or likelihood was none; it weighs nothing
 
 
 def weigh(log_weight: Array, log_likelihood: Array) -> Weighed:
@@ -213,8 +213,8 @@ def particle_filter(
 
     def step(state: ParticleState, observation: Any) -> tuple[ParticleState, ParticleInfo]:
         named = isinstance(observation, Mapping)
-        told = observation.get("valid", True) if named else getattr(observation, "valid", True)
-        valid = jnp.asarray(told)
+        flag = observation.get("valid", True) if named else getattr(observation, "valid", True)
+        valid = jnp.asarray(flag)
         # What is behind an invalid look may be NaN, which a gradient would carry past the choice.
         observation = jax.tree.map(lambda x: jnp.where(valid, x, jnp.zeros_like(x)), observation)
         key, move, draw = jax.random.split(state.key, 3)
@@ -233,7 +233,7 @@ def particle_filter(
             weight = weight + jnp.where(sound, density - stop(density), 0.0)
         told = log_likelihood(moved, observation)
         check_array("log_likelihood(…)", told, shape=shape[:1])
-        after = weigh(weight, jnp.where(finite, told, -jnp.inf))
+        after = weigh(weight, jnp.where(sound, told, -jnp.inf))
         unsound = ~(sound & (jnp.isfinite(told) | jnp.isneginf(told))).all()
         few = effective_size(after.log_weight) < share * particles
         kept, log_weight = jax.lax.cond(

@@ -59,7 +59,7 @@ def hu(xy: Array, weight: Array) -> Array:
     mass = jnp.where(some, mass * scale, 1.0)
     mean_x, mean_y = (total / mass for total in totals(weight * x, weight * y))
     # η_pq is the mean of (x − x̄)^p (y − ȳ)^q in units of the root of the mass.
-    unit = jnp.sqrt(scale / mass)
+    unit = jnp.sqrt(jnp.where(some, scale / mass, 1.0))
     x, y = unit * (x - mean_x), unit * (y - mean_y)
     square = x * x + y * y
     even, odd = x * x - y * y, 2 * x * y  # the parts of z²

@@ -59,6 +59,7 @@ def mounting_by_triangle(sightings: Sightings) -> Array:
         The paper gives θ = α − ∠CBA without the sign, which is that of a target to starboard of the
         way from B to C. The triangle knows nothing of the lever arm and takes the yaw at C for that
         at B: β is exact where the yaws are equal, and off by some of their difference elsewhere.
+        Where B is C it says nothing, without a word; `mounting_of_sightings` does.
     """
     _check(sightings, 2)
     position_m = sightings.pose.position_m
@@ -68,7 +69,8 @@ def mounting_by_triangle(sightings: Sightings) -> Array:
     cosine = safe_divide(a**2 + c**2 - b**2, 2 * a * c)
     # arccos as atan2, whose gradient is finite where the triangle is flat.
     corner = safe_arctan2(jnp.sqrt(jnp.maximum(1 - cosine**2, jnp.finfo(a.dtype).tiny)), cosine)
-    side = jnp.sign(seen_m[0, 0] * seen_m[1, 1] - seen_m[0, 1] * seen_m[1, 0])
+    cross = seen_m[0, 0] * seen_m[1, 1] - seen_m[0, 1] * seen_m[1, 0]
+    side = jnp.where(cross < 0, -1.0, 1.0).astype(cross.dtype)  # a flat triangle has either
     gamma = safe_arctan2(way_m[1], way_m[0])
     beta = gamma - sightings.pose.heading_rad[0] - (sightings.bearing_rad[0] - side * corner)
     return jnp.arctan2(jnp.sin(beta), jnp.cos(beta))
@@ -127,15 +129,15 @@ def mounting_of_sightings(
     v = seen_m - seen_middle_m[None]
     along = (v * q).sum()
     across = (v[:, 0] * q[:, 1] - v[:, 1] * q[:, 0]).sum()
-    beta = safe_arctan2(across, along)
+    # Rounding leaves this much of a correlation that is none.
+    least = 64 * jnp.finfo(dtype).eps * (weight * (stand_m**2 + seen_m**2)).sum()
+    valid = jnp.hypot(along, across) > least
+    beta = jnp.where(valid, safe_arctan2(across, along), 0.0)
     target_m = middle_m + _turn(seen_middle_m[None], beta[None])[0]
     turned_m = _turn(seen_m, jnp.broadcast_to(beta, heading_rad.shape))
     off_m = safe_norm(stand_m + turned_m - target_m[None])
     residual_m = safe_norm(jnp.sqrt(weight[:, 0]) * off_m)
-    # Rounding leaves this much of a correlation that is none.
-    least = 64 * jnp.finfo(dtype).eps * (weight * (stand_m**2 + seen_m**2)).sum()
-    valid = jnp.hypot(along, across) > least
-    return Mounting(jnp.where(valid, beta, 0.0), target_m, residual_m, valid)
+    return Mounting(beta, target_m, residual_m, valid)
 
 
 def _check(sightings: Sightings, number: int | str = "N") -> None:

@@ -56,6 +56,7 @@ def cloud_of_pings(
     check_array("pings.pose.position_m", pings.pose.position_m, shape=(number, 2))
     check_array("pings.pose.heading_rad", pings.pose.heading_rad, shape=(number,))
     check_size("points", points)
+    pings = sound_pings(pings)
     dtype = pings.intensity.dtype
     gamma = check_positive("threshold", threshold, dtype)
     bin_m = check_positive("sonar.range_max_m", sonar.range_max_m, dtype) / bins
@@ -86,3 +87,18 @@ def cloud_of_pings(
         intensity=intensity,
     )
     return scan, count[-1] > points
+
+
+def sound_pings(pings: Pings) -> Pings:
+    """Return pings of which only those count that have a time, a bearing and a pose.
+
+    Example:
+        >>> pose = Pose(jnp.zeros((2, 2)), jnp.array([0.0, jnp.nan]))
+        >>> pings = Pings(jnp.zeros(2), jnp.zeros(2), jnp.ones((2, 3)), jnp.ones(2, bool), pose)
+        >>> print(sound_pings(pings).mask)
+        [ True False]
+    """
+    pose = pings.pose
+    finite = jnp.isfinite(pings.time_s) & jnp.isfinite(pings.bearing_rad)
+    finite = finite & jnp.isfinite(pose.heading_rad) & jnp.isfinite(pose.position_m).all(-1)
+    return pings._replace(mask=pings.mask & finite)

@@ -69,7 +69,7 @@ def dragged_bucket(
     The course of a target that moves winds about a mean one, within 20° of west. The boat is 6 m
     ahead of it. A hovering vehicle sways by some decimetres and yaws by some degrees; a following
     one does so while it moves on as the target does on average. Other objects stand on either side
-    of the path at one and two thirds of its length, or of a target at rest, before and behind it.
+    of the path at one and two thirds of its length, or, of a target at rest, on either side of it.
 
     Args:
         key: random key.

@@ -122,8 +122,8 @@ def soft_lives(
         >>> params = KalmanTrackerParams(1.0, 0.1, 0.9, 1e-4)
         >>> tracker = kalman_tracker(params, max_tracks=2, lives=soft_lives())
         >>> _, info = jax.lax.scan(tracker.step, tracker.init(jax.random.key(0)), scans)
-        >>> print(info.tracks.existence[:, 0].round(2))
-        [0.   0.11 0.88 0.99 0.99 0.99 0.99 0.99]
+        >>> print(*(f"{x:.2f}" for x in info.tracks.existence[:, 0]))
+        0.00 0.11 0.88 0.99 0.99 0.99 0.99 0.99
 
     Note:
         The probability 1 − exp(−γ/2) that a detection is inside the gate is that of the hard one.

@@ -26,7 +26,10 @@ def similarity_angle(feature: Array, template: Array) -> Array:
     """
     unit = lambda x: x / jnp.where(safe_norm(x) > 0, safe_norm(x), 1.0)
     a, b = unit(feature), unit(template)
-    return 2 * jnp.arctan2(safe_norm(a - b), safe_norm(a + b))
+    apart, together = safe_norm(a - b), safe_norm(a + b)
+    none = (apart == 0) & (together == 0)
+    angle = 2 * jnp.arctan2(apart, jnp.where(none, 1.0, together))
+    return jnp.where(none, math.pi / 2, angle)
 
 
 def first_threshold(angle_rad: Array, there: Array) -> Array:

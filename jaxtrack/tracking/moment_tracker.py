@@ -128,7 +128,7 @@ def moment_tracker(
 ) -> Estimator[Scan, MomentTrackerState, MomentTrackerInfo]:
     """Return the paper's tracker of one target, as an estimator over point clouds.
 
-        x_k = x_{k−1} + w,   w ~ N(0, r² I₂),   turned by `aligned` with probability ½ if L > 0.3 m
+        x_k = x_{k−1} + w,   w ~ N(0, step² I₂),   half of w turned by `aligned` if L > 0.3 m
 
     Args:
         template: [7] of `moment_template`, with the same `features` and `origin`.
@@ -179,7 +179,9 @@ def moment_tracker(
     for name, value in params._asdict().items():
         check_array(f"params.{name}", value, shape=())
         check_known(f"params.{name}", value, lambda x: (x >= 0) & np.isfinite(x), "0 or more")
-    check_known("params.radius_m", params.radius_m, lambda x: x > 0, "a positive number")
+    for name in ("radius_m", "sigma"):
+        value = getattr(params, name)
+        check_known(f"params.{name}", value, lambda x: x > 0, "a positive number")
     check_known("places_m", places_m, np.isfinite, "finite places")
     dtype = jnp.result_type(template, float)
     template, places_m = jnp.asarray(template, dtype), jnp.asarray(places_m, dtype)
@@ -188,7 +190,8 @@ def moment_tracker(
     # A particle carries what its window showed: [x, y, angle, overflow].
     def initial(key: Key, size: int) -> Array:
         at = places_m[1:] + params.spread_m * jax.random.normal(key, (size, 2), dtype)
-        return jnp.concatenate([at, jnp.zeros((size, 2), dtype)], axis=1)
+        unseen = jnp.broadcast_to(jnp.asarray([math.pi, 0.0], dtype), (size, 2))
+        return jnp.concatenate([at, unseen], axis=1)
 
     def jittered(key: Key, particles: Array, log_weight: Array) -> Resampled:
         copy, shake = jax.random.split(key)

@@ -13,7 +13,7 @@ from jaxtrack.clustering.linkage import Clusters, linked
 from jaxtrack.numerics.checks import check_positive
 from jaxtrack.numerics.masked import masked_max, masked_mean
 from jaxtrack.numerics.safe import safe_divide, safe_norm
-from jaxtrack.sensors.ping_cloud import cloud_of_pings
+from jaxtrack.sensors.ping_cloud import cloud_of_pings, sound_pings
 from jaxtrack.sensors.scanning_sonar import ScanningSonar
 from jaxtrack.types import Array, Pings, Scan
 
@@ -79,7 +79,8 @@ def detect_in_pings(
     cloud, crowded = cloud_of_pings(pings, sonar, params.threshold, points=points)
     dtype = cloud.position_m.dtype
     # A sweep's poses are all but one place, seen from where the beams stand wide apart.
-    stand_m = masked_mean(pings.pose.position_m, pings.mask[:, None], axis=0)
+    stands = sound_pings(pings).mask
+    stand_m = masked_mean(pings.pose.position_m, stands[:, None], axis=0)
     beams_m = jnp.asarray(sonar.step_rad, dtype) * safe_norm(cloud.position_m - stand_m[None])
     gap_m = check_positive("params.gap_m", params.gap_m, dtype)
     found = linked(
@@ -97,6 +98,8 @@ def detect_in_pings(
     assert cloud.weight is not None
     assert cloud.delay_s is not None
     share = jnp.where(belongs, cloud.weight[None, :], 0.0)
+    # Where all cells are just at the threshold they count alike, as in the centre.
+    share = jnp.where((share.sum(axis=1) > 0)[:, None], share, belongs.astype(dtype))
     delay_s = safe_divide((share * cloud.delay_s[None, :]).sum(axis=1), share.sum(axis=1))
     scan = Scan(
         cloud.time_s,

@@ -160,6 +160,10 @@ def shape_tracker(
     for name, value in params._asdict().items():
         check_array(f"params.{name}", value, shape=())
         check_known(f"params.{name}", value, lambda x: (x >= 0) & np.isfinite(x), "0 or more")
+    for name in ("radius_m", "sigma", "mass_sigma", "floor"):
+        value = getattr(params, name)
+        check_known(f"params.{name}", value, lambda x: x > 0, "a positive number")
+    check_known("params.floor", params.floor, lambda x: x < 1, "a likelihood below 1")
     dtype = template.place_m.dtype
     params = ShapeParams(*(jnp.asarray(x, dtype) for x in params))
 
@@ -194,6 +198,8 @@ def shape_tracker(
         return ShapeTrackerState(build(template.time_s).init(key), template.time_s)
 
     def step(state: ShapeTrackerState, cloud: Scan) -> tuple[ShapeTrackerState, ShapeTrackerInfo]:
+        valid = cloud.valid & jnp.isfinite(cloud.time_s)
+        cloud = cloud._replace(valid=valid)
         after, info = build(state.time_s).step(state.filter, cloud)
         shown = ShapeTrackerInfo(
             info.mean[:2],
@@ -201,10 +207,10 @@ def shape_tracker(
             info.particles[:, :4],
             jnp.exp(info.log_weight),
             info.log_likelihood,
-            cloud.valid & (info.particles[:, 4] < jnp.log(2 * params.floor)).all(),
-            (info.particles[0, 5] > 0) & cloud.valid,
+            valid & (info.vanished | (info.particles[:, 4] < jnp.log(2 * params.floor)).all()),
+            (info.particles[0, 5] > 0) & valid,
         )
-        return ShapeTrackerState(after, jnp.where(cloud.valid, cloud.time_s, state.time_s)), shown
+        return ShapeTrackerState(after, jnp.where(valid, cloud.time_s, state.time_s)), shown
 
     return Estimator(init, step)
 
@@ -258,7 +264,7 @@ def shape_log_likelihood(
     off = moments - template.moments[None]
     apart = (off.real**2 + off.imag**2).sum(1)
     there = (mass > 0) & (template.mass > jnp.finfo(mass.dtype).tiny)
-    light = jnp.log(jnp.where(there, mass, 1.0) / template.mass)
+    light = jnp.log(jnp.where(there, mass, 1.0)) - jnp.log(jnp.where(there, template.mass, 1.0))
     fits = -apart / (2 * params.sigma**2) - light**2 / (2 * params.mass_sigma**2)
     fits = jnp.where(there, jnp.log1p(-params.floor) + fits, -jnp.inf)
     return jnp.logaddexp(fits, jnp.log(params.floor))

@@ -104,10 +104,10 @@ def soft_grade(
         >>> for h in (0.9, 0.9, 0.0):
         ...     soft = soft_grade(soft, jnp.full(1, h), jnp.ones(1, bool), jnp.array(True),
         ...                       LifecycleParams(2), Softness())
-        ...     print(soft.table.tracks.existence.round(2))
-        [0.75]
-        [0.97]
-        [0.97]
+        ...     print(f"{soft.table.tracks.existence[0]:.2f}")
+        0.75
+        0.97
+        0.97
     """  # noqa: E501
     table, tracks = soft.table, soft.table.tracks
     for name, value in (("hit", hit), ("counted", counted)):

@@ -230,6 +230,7 @@ def test_both_of_two_crossing_targets_are_found():
 # --- what must not matter -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_order_padding_and_what_is_behind_masks_change_nothing():
     rng = np.random.default_rng(0)
     for seed in range(4):
@@ -257,6 +258,7 @@ def test_order_padding_and_what_is_behind_masks_change_nothing():
         )
 
 
+@pytest.mark.slow
 def test_detections_of_weight_zero_are_as_if_masked():
     scan = random_scene(3)
     scan.mask[1, 2] = scan.mask[3, 1] = False
@@ -372,6 +374,7 @@ def test_gradients_are_finite_on_degenerate_looks(name):
 # --- as a function --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_other_values_do_not_compile_anew_and_batches_equal_loops():
     once = jax.jit(
         chex.assert_max_traces(lambda scan, params: estimate(scan, params, sizes=SIZES), n=1)

@@ -52,6 +52,7 @@ def test_places_enough_change_nothing():
         assert not overflow
 
 
+@pytest.mark.slow
 def test_beams_become_the_positions_of_what_they_report():
     scene = motion_elements_scene()
     beams = observe_beams(jax.random.key(1), *scene, false_alarms="per_scan")

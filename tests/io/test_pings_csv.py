@@ -78,6 +78,7 @@ def test_sweeps_begin_where_the_beam_turns_back_or_leaps_back(tmp_path, bearings
         assert (pings.pose.position_m[t, length:] == pings.pose.position_m[t, length - 1]).all()
 
 
+@pytest.mark.slow
 def test_a_simulated_run_comes_back(tmp_path):
     preset = ScanningPreset(IMAGENEX_881L.sonar, PingSizes(11, 40, 4, 2))
     draw = jax.jit(lambda key: dragged_bucket(key, "hovering", frames=3, preset=preset).pings)

@@ -139,3 +139,8 @@ def test_errors_name_the_argument():
         moments.hu(np.zeros((3, 2), complex), np.ones(3))
     with pytest.raises(ValueError, match=r"image: got shape \[3\]"):
         moments.hu_image(np.zeros(3))
+
+
+def test_forward_gradients_are_finite_without_points():
+    slope = jax.jit(jax.jacfwd(lambda xy: moments.hu(xy, jnp.zeros(4))))(jnp.ones((4, 2)))
+    assert jnp.isfinite(slope).all()

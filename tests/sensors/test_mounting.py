@@ -198,3 +198,9 @@ def test_float32_one_trace_and_wrong_shapes():
         mounting_by_triangle(jax.tree.map(lambda x: x[0], sightings))
     with pytest.raises(TypeError, match="mask: got dtype float64, want booleans"):
         mounting_of_sightings(jax.tree.map(lambda x: x[0], sightings), ARM, jnp.ones(6))
+
+
+def test_a_flat_triangle_with_the_target_behind_is_no_half_turn():
+    pose = Pose(jnp.array([[0.0, 0.0], [-3.0, 0.0]]), jnp.zeros(2))
+    beta = mounting_by_triangle(Sightings(jnp.array([5.0, 8.0]), jnp.zeros(2), pose))
+    np.testing.assert_allclose(beta, 0.0, atol=1e-7)

@@ -96,6 +96,7 @@ def loud_cells(found, run, t, level=4.0):
     ])  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_target_and_the_objects_beside_its_path_are_heard_where_they_are():
     quiet = ("hovering", "static")
     for motion in quiet:

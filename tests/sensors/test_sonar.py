@@ -134,6 +134,7 @@ def test_a_missed_beam_is_among_those_of_a_scan_s_one_false_alarm():
     assert_share(nowhere[:, 0], 0.9 * 0.5)
 
 
+@pytest.mark.slow
 def test_of_two_targets_in_a_beam_the_nearer_echo_is_reported():
     sonar = BeamSonar(p_miss=0.3, p_false=0.9, sigma_m=1.0)
     targets = [(110.0, 10.6), (80.0, 10.3)]

@@ -139,6 +139,7 @@ def test_drawn_echoes_are_the_sensors_and_all_seen_at_once():
     assert not found.loudest.any()
 
 
+@pytest.mark.slow
 def test_places_are_seen_when_the_beam_crosses_them():
     found = looks("B", "pings")
     run = jax.jit(lambda key: meeting_pings(key, situations()["B"].meeting))(KEYS[0])

@@ -175,6 +175,7 @@ def test_order_padding_and_what_is_no_look_change_nothing(name):
     chex.assert_trees_all_close(*(jax.tree.map(lambda x, k=k: x[k], info.beliefs) for k in (5, 6)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", POLAR)
 def test_gates_and_densities_are_those_of_range_and_bearing(name):
     rng = np.random.default_rng(5)
@@ -204,6 +205,7 @@ def test_gates_and_densities_are_those_of_range_and_bearing(name):
             np.testing.assert_allclose(gated.density_per_m2[t, n], density, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_models_are_weighed_by_the_detections_that_are_the_tracks():
     rng = np.random.default_rng(1)
     of = filter_of("interacting")

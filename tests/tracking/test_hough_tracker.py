@@ -108,6 +108,7 @@ def test_agrees_with_the_loop(seed):
             )
 
 
+@pytest.mark.slow
 def test_windows_that_share_looks_do_not_make_it_sure_of_itself():
     """Over many runs the mean NEES of four states is four, and errors are below a window's own."""
     scans, truth, speed = zip(
@@ -204,6 +205,7 @@ def poisoned(scans):
     return found._replace(mean=mean, covariance=covariance, log_score=score), count
 
 
+@pytest.mark.slow
 def test_gradients_agree_with_central_differences_whatever_masked_estimates_hold():
     scans, _, _ = scene(2)
     like = jax.tree.map(lambda x: jnp.asarray(x[0]), scans)

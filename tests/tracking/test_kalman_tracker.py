@@ -189,6 +189,7 @@ def test_a_full_table_says_so():
     assert not info.full[~scans.valid].any()
 
 
+@pytest.mark.slow
 def test_gradients_agree_with_central_differences():
     scans = scene(2)
     hidden = np.where(scans.mask, 0.0, np.nan)
@@ -279,6 +280,7 @@ def test_a_scans_own_covariance_and_weight_count_and_a_new_track_starts_with_the
     assert not info.tracks.mask.any()
 
 
+@pytest.mark.slow
 def test_precision_is_that_of_the_parameters_whatever_the_scan_has():
     single = jax.tree.map(lambda x: x.astype(np.float32) if x.dtype == float else x, scene(0))
     for name in ("greedy", "jpda"):

@@ -13,6 +13,7 @@ from jaxtrack.tracking.moment_match import (
     similarity_angle,
 )
 from jaxtrack.types import Scan
+from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import moment_tracker as oracle
 
 T, P = 16, 48
@@ -106,6 +107,13 @@ def test_the_small_steps_meet_their_oracles():
         if there.any():
             some = [x if y else None for x, y in zip(angle, there, strict=True)]
             assert first_threshold(angle, there) == oracle.threshold(some)
+    assert similarity_angle(jnp.zeros(7), jnp.zeros(7)) == np.pi / 2
+    slope = jax.jit(jax.grad(similarity_angle))
+    for a, b in ((np.zeros(7), np.zeros(7)), (np.zeros(7), np.ones(7)), (np.ones(7), np.ones(7))):
+        assert jnp.isfinite(slope(a, b)).all()
+    assert_gradients_agree(
+        jax.jit(lambda a: similarity_angle(a, jnp.arange(1.0, 8.0))), jnp.asarray(rng.random(7))
+    )
     gone = angle_log_likelihood(jnp.array([0.2, 0.3]), jnp.array(0.0), 0.3)
     assert jnp.isneginf(gone).all()
 
@@ -140,12 +148,13 @@ def test_frames_that_show_too_little_are_left_out_of_the_template():
     first = jax.tree.map(lambda x: x[:3], scans)
     two = jax.tree.map(lambda x: x[:2], scans)
     want = moment_template(two, places[:2])
+    made = jax.jit(moment_template)
     for mask, valid in (
         (first.mask & (np.arange(3) < 2)[:, None], first.valid),
         (first.mask, np.arange(3) < 2),
         (first.mask & ((np.arange(3) < 2)[:, None] | (np.arange(P) < 2)), first.valid),
     ):
-        got = moment_template(first._replace(mask=mask, valid=valid), places[:3])
+        got = made(first._replace(mask=mask, valid=valid), places[:3])
         np.testing.assert_allclose(got, want, rtol=1e-12)
 
 
@@ -163,6 +172,7 @@ def test_what_cannot_be_is_refused():
     for arguments, word in (
         ((jnp.zeros(5), good), "template: got shape"),
         ((jnp.zeros(7), good, MomentParams(radius_m=0.0)), "params.radius_m"),
+        ((jnp.zeros(7), good, MomentParams(sigma=0.0)), "params.sigma"),
         ((jnp.zeros(7), jnp.full((2, 2), jnp.nan)), "places_m"),
     ):
         with pytest.raises(ValueError, match=word):

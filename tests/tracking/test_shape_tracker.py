@@ -124,6 +124,15 @@ def test_a_target_out_of_sight_for_a_while_is_found_again():
     assert np.median(errors(info, places)[:, -1]) < 0.5
 
 
+def test_a_cloud_without_a_time_is_none():
+    scans, places = clouds(3)
+    time_s = np.where(np.arange(T) == 6, np.nan, scans.time_s)
+    _, _, got = run(jax.random.key(0), scans._replace(time_s=time_s), places)
+    holes = scans._replace(valid=np.arange(T) != 6)
+    _, _, want = run(jax.random.key(0), holes, places)
+    np.testing.assert_array_equal(got.position_m, want.position_m)
+
+
 def test_without_a_template_the_target_is_lost_from_the_first_look():
     scans, places = clouds(3)
     scans = scans._replace(mask=scans.mask & (np.arange(T) > 2)[:, None])

@@ -77,6 +77,7 @@ def test_the_papers_votes_find_a_lone_target_in_cells_of_the_data(method):
     assert gap.min() < 5 * SIGMA_M
 
 
+@pytest.mark.slow
 def test_a_burst_in_the_last_looks_fits_too():
     rng = np.random.default_rng(4)
     counts = np.array([9] * 20 + [30, 60, 90, 120])

@@ -125,6 +125,7 @@ def worst_again(key, scene):
     return fading_crossings.verdict(scene, key)
 
 
+@pytest.mark.slow
 def test_the_kept_scene_breaks_the_tracker_as_often_as_is_written():
     known = kept()
     worst = jax.tree.map(lambda x: x[0], known.scenes)
