@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from jaxtrack.hough import pack_beams, pack_detections
 from jaxtrack.sensors import motion_elements_scene, observe_beams, scan_of_beams
