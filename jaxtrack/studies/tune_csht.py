@@ -74,7 +74,7 @@ STUDY = Study(
     "Access, 2018",
     trials_short=2,
     trials_full=500,
-    seconds_short=20.0,
+    seconds_short=30.0,
     seconds_full=400.0,
     run=run,
 )

@@ -93,7 +93,7 @@ STUDY = Study(
     "Track Initiation Method for Multiple Target Tracking, IEEE Access, 2018",
     trials_short=2,
     trials_full=500,
-    seconds_short=60.0,
+    seconds_short=28.0,
     seconds_full=600.0,
     run=run,
 )

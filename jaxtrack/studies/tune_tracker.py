@@ -70,7 +70,7 @@ STUDY = Study(
     "of Multiple Targets Using Joint Probabilistic Data Association, 1983, with M-of-N lives",
     trials_short=2,
     trials_full=200,
-    seconds_short=25.0,
+    seconds_short=40.0,
     seconds_full=600.0,
     run=run,
 )
