@@ -104,7 +104,7 @@ def _simulate(key: Key) -> tuple[Truth, Scan]:
     x, y, speed, course, born, gone = jax.random.uniform(draw, (6, _TARGETS), dtype)
     time_s = jnp.arange(_LOOKS).astype(dtype)
     low, high = (jnp.asarray(corner, dtype) for corner in (RADAR.field_low_m, RADAR.field_high_m))
-    middle = low + (high - low) * (0.3 + 0.4 * jnp.stack([x, y], axis=-1))
+    middle = low[None] + (high - low)[None] * (0.3 + 0.4 * jnp.stack([x, y], axis=-1))
     velocity = (4 + 8 * speed)[:, None] * jnp.stack(
         [jnp.cos(2 * jnp.pi * course), jnp.sin(2 * jnp.pi * course)], axis=-1
     )
