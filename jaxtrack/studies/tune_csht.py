@@ -12,10 +12,9 @@ from jaxtrack.studies import tuned, tuned_report
 from jaxtrack.studies.registry import Context, Study
 from jaxtrack.studies.tables import Row
 from jaxtrack.studies.tune_csht_trial import hand, loss, score
-from jaxtrack.studies.tuned_ways import Case, Effort
+from jaxtrack.studies.tuned_ways import STARTS, Case, Effort
 
 CASE = "csht"
-STARTS = {"a fifth": 0.2, "five times": 5.0}
 MOST = 0.95  # of the shares, which are below 1
 FULL = Effort(steps=80, batch=32, holdout=128, every=10, grid=13, scenes=64)
 WORDS = tuned_report.Words(

@@ -13,14 +13,12 @@ from jaxtrack.metrics import ospa
 from jaxtrack.models import propagate
 from jaxtrack.sensors import motion_elements_scene, observe_beams
 from jaxtrack.studies.csht_trial import BEAM_COUNT, CUTOFF, ORDER, POSITIONS
-from jaxtrack.studies.tuned_ways import Score, Settings
-from jaxtrack.tuning import sinkhorn_ospa
+from jaxtrack.studies.tuned_ways import Score, Settings, smooth_ospa
 from jaxtrack.types import Array, Key, Scan, Tracks
 
 MOVED_M, MOVED_M_S = 10.0, 0.5  # deviations of the targets from table 2
 TEMPERATURE = 0.05  # of the thresholds
 _ISODATA = ("merge_exponent", "membership_floor", "aggregation_gate", "delete_share")
-_SMOOTH, _ITERATIONS = 0.02, 30  # of the smooth OSPA
 
 
 def hand() -> dict[str, float]:
@@ -36,18 +34,8 @@ def loss(settings: Settings, key: Key) -> Array:
     tracks, info = _estimate(settings, scans)
     assert info.clusters is not None  # as of every estimate that clusters
     there = jnp.ones(truth.shape[0], bool)
-    smooth = sinkhorn_ospa(
-        tracks.mean[:, :2],
-        tracks.mask,
-        truth[:, :2],
-        there,
-        cutoff=CUTOFF,
-        order=ORDER,
-        temperature=_SMOOTH,
-        iterations=_ITERATIONS,
-        existence=info.clusters.survival,
-    )
-    return smooth.distance / CUTOFF
+    stays = info.clusters.survival
+    return smooth_ospa(tracks, stays, truth, there, cutoff=CUTOFF, order=ORDER) / CUTOFF
 
 
 def score(settings: Settings, key: Key) -> Score:

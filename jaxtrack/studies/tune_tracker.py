@@ -13,10 +13,9 @@ from jaxtrack.studies import tuned, tuned_report
 from jaxtrack.studies.registry import Context, Study
 from jaxtrack.studies.tables import Row
 from jaxtrack.studies.tune_tracker_trial import hand, loss, score
-from jaxtrack.studies.tuned_ways import Case, Effort
+from jaxtrack.studies.tuned_ways import STARTS, Case, Effort
 
 CASE = "tracker"
-STARTS = {"a fifth": 0.2, "five times": 5.0}
 FULL = Effort(steps=60, batch=24, holdout=48, every=10, grid=11, scenes=16)
 WORDS = tuned_report.Words(
     titles={CASE: "Kalman–JPDA tracker"},

@@ -4,6 +4,7 @@ The loss is that of the tracker with soft lives, its tracks weighed by their exi
 the tracker as people use it, with its gate, its M-of-N rule and its deletions.
 """
 
+import functools
 from collections.abc import Callable
 
 import jax
@@ -12,7 +13,7 @@ import jax.numpy as jnp
 from jaxtrack.metrics import ospa
 from jaxtrack.sensors import Radar, observe
 from jaxtrack.sensors.radar import move
-from jaxtrack.studies.tuned_ways import Score, Settings
+from jaxtrack.studies.tuned_ways import Score, Settings, smooth_ospa
 from jaxtrack.tracking import (
     KalmanTrackerParams,
     LifecycleParams,
@@ -20,14 +21,12 @@ from jaxtrack.tracking import (
     soft_lives,
 )
 from jaxtrack.tracking.lives import Lives
-from jaxtrack.tuning import sinkhorn_ospa
 from jaxtrack.types import Array, Key, Scan, Stage, Tracks, Truth
 
 CUTOFF_M, ORDER = 20.0, 2.0
 RADAR = Radar(0.9, 3.0, 1.0, (0.0, 0.0), (600.0, 600.0))
 ACCELERATION_M_S2 = 0.5  # of each coordinate; a look is a second
 _TARGETS, _LOOKS, _DETECTIONS, _SLOTS = 3, 40, 10, 8
-_TEMPERATURE, _ITERATIONS = 0.02, 30  # of the smooth OSPA
 
 
 def hand() -> dict[str, float]:
@@ -48,21 +47,9 @@ def loss(settings: Settings, key: Key) -> Array:
     """Return the smooth OSPA of one scene, mean over its looks, in units of the cut-off."""
     truth, scans = _simulate(key)
     tracks, _ = _track(settings, scans, soft_lives())
-
-    def look(tracks: Tracks, state: Array, there: Array) -> Array:
-        return sinkhorn_ospa(
-            tracks.mean[:, :2],
-            tracks.mask,
-            state[:, :2],
-            there,
-            cutoff=CUTOFF_M,
-            order=ORDER,
-            temperature=_TEMPERATURE,
-            iterations=_ITERATIONS,
-            existence=tracks.existence,
-        ).distance
-
-    return jax.vmap(look)(tracks, truth.state, truth.mask).mean() / CUTOFF_M
+    look = functools.partial(smooth_ospa, cutoff=CUTOFF_M, order=ORDER)
+    each = jax.vmap(look)(tracks, tracks.existence, truth.state, truth.mask)
+    return each.mean() / CUTOFF_M
 
 
 def score(settings: Settings, key: Key) -> Score:
