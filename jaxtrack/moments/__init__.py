@@ -9,7 +9,7 @@ and `soft_inside` fade towards the edge of the disc, for gradients.
 from jaxtrack.moments.features import log_features, soft_log_features
 from jaxtrack.moments.hu import hu
 from jaxtrack.moments.image import hu_image, image_points, zernike_image
-from jaxtrack.moments.window import Windows, inside, soft_inside, windowed
+from jaxtrack.moments.window import Windows, cloud_windows, inside, soft_inside, windowed
 from jaxtrack.moments.zernike import LOW_ORDERS, PAPER_ORDERS, Orders, soft_zernike, zernike
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "PAPER_ORDERS",
     "Orders",
     "Windows",
+    "cloud_windows",
     "hu",
     "hu_image",
     "image_points",

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxtrack.numerics.checks import check_array, check_known, check_positive, check_size
 from jaxtrack.numerics.safe import as_float
-from jaxtrack.types import Array
+from jaxtrack.types import Array, Scan
 
 
 class Windows(NamedTuple):
@@ -148,6 +148,33 @@ def windowed(
     return Windows(
         jnp.stack([x, y], axis=-1), jnp.where(counts, weight[None, :], 0.0), count > places
     )
+
+
+def cloud_windows(cloud: Scan, centres_m: Array, *, radius_m: Array | float, most: int) -> Windows:
+    """Return the detections of a look within a radius of each of many centres, as `windowed` does.
+
+    Args:
+        cloud: a look, with or without weights; what its mask leaves out weighs nothing.
+        centres_m: [N, 2].
+        radius_m: of the windows, > 0.
+        most: places for detections. Static.
+
+    Raises:
+        ValueError: shapes do not fit, a radius that cannot be, or no place.
+        TypeError: not real numbers, or `most` is not an int.
+
+    Example:
+        >>> at = jnp.array([[0.3, 0.0], [jnp.nan, 0.4], [5.0, 0.1]])
+        >>> cloud = Scan(jnp.array(0.0), jnp.array(True), at, jnp.array([True, False, True]))
+        >>> print(cloud_windows(cloud, jnp.zeros((1, 2)), radius_m=1.0, most=3).weight.sum(1))
+        [1.]
+    """
+    dtype = centres_m.dtype
+    weight = cloud.mask.astype(dtype)
+    if cloud.weight is not None:
+        weight = jnp.where(cloud.mask, cloud.weight, 0.0).astype(dtype)
+    places = jnp.where(cloud.mask[:, None], cloud.position_m, 0.0).astype(dtype)
+    return windowed(places, weight, centres_m, radius=radius_m, most=most)
 
 
 def check_points(xy: Array, weight: Array) -> tuple[Array, Array]:

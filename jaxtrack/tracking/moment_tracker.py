@@ -18,9 +18,9 @@ from jaxtrack.moments import (
     LOW_ORDERS,
     PAPER_ORDERS,
     Windows,
+    cloud_windows,
     hu,
     log_features,
-    windowed,
     zernike,
 )
 from jaxtrack.numerics.checks import check_array, check_choice, check_known, check_size
@@ -106,7 +106,7 @@ def moment_template(
     places = clouds.mask.shape[1]
 
     def one(cloud: Scan, place_m: Array) -> tuple[Array, Array]:
-        windows = _windows(cloud, place_m[None], params, places)
+        windows = cloud_windows(cloud, place_m[None], radius_m=params.radius_m, most=places)
         found, enough = _features(windows, params, features, origin)
         return found[0], enough[0] & cloud.valid
 
@@ -210,7 +210,7 @@ def moment_tracker(
             turned = jax.vmap(aligned, (0, None))(step, apart)
             turn = fast & jax.random.bernoulli(coin, 0.5, (len(places), 1))
             places = places + jnp.where(turn, turned, step)
-            windows = _windows(observation, places, params, most)
+            windows = cloud_windows(observation, places, radius_m=params.radius_m, most=most)
             found, enough = _features(windows, params, features, origin)
             enough = enough & (template != 0).any()
             angle = jax.vmap(similarity_angle, (0, None))(found, template)
@@ -255,14 +255,6 @@ def moment_tracker(
         return MomentTrackerState(after, places, threshold, state.weighed | first), shown
 
     return Estimator(init, step)
-
-
-def _windows(cloud: Scan, centres_m: Array, params: MomentParams, most: int) -> Windows:
-    weight = cloud.mask.astype(centres_m.dtype)
-    if cloud.weight is not None:
-        weight = jnp.where(cloud.mask, cloud.weight, 0.0).astype(weight.dtype)
-    places = jnp.where(cloud.mask[:, None], cloud.position_m, 0.0).astype(weight.dtype)
-    return windowed(places, weight, centres_m, radius=params.radius_m, most=most)
 
 
 def _features(

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxtrack.filtering.particle import ParticleState, particle_filter
 from jaxtrack.filtering.resampling import systematic
-from jaxtrack.moments import LOW_ORDERS, soft_inside, windowed, zernike
+from jaxtrack.moments import LOW_ORDERS, cloud_windows, soft_inside, zernike
 from jaxtrack.numerics.checks import check_array, check_known, check_size
 from jaxtrack.types import Array, Estimator, Key, Scan
 
@@ -229,12 +229,7 @@ def shape_features(
         >>> print(mass.round(2))
         [3. 0.]
     """  # noqa: E501
-    dtype = centres_m.dtype
-    weight = cloud.mask.astype(dtype)
-    if cloud.weight is not None:
-        weight = jnp.where(cloud.mask, cloud.weight, 0.0).astype(dtype)
-    places = jnp.where(cloud.mask[:, None], cloud.position_m, 0.0).astype(dtype)
-    near = windowed(places, weight, centres_m, radius=params.radius_m, most=most)
+    near = cloud_windows(cloud, centres_m, radius_m=params.radius_m, most=most)
 
     def one(xy: Array, weight: Array) -> tuple[Array, Array]:
         faded = soft_inside(xy, weight, radius=params.radius_m, taper=params.taper)[1]
