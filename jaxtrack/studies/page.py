@@ -30,7 +30,7 @@ class Section(NamedTuple):
     body: Html
 
 
-def tag(name: str, *inside: str | None, **attributes: Any) -> Html:
+def tag(name: str, /, *inside: str | None, **attributes: Any) -> Html:
     """Return an element.
 
     Args:

@@ -118,7 +118,7 @@ def _folded(table: Html, rows: int) -> Html:
 
 def _figures(design: Design, found: summary.Moments) -> Html | None:
     """Return each metric over each field of the grid."""
-    parts = []
+    parts, first = [], design.methods[0]
     for metric in design.metrics:
         drawn = []
         for field, values in design.scene.grid.items():
@@ -128,8 +128,7 @@ def _figures(design: Design, found: summary.Moments) -> Html | None:
             for field, values in method.grid.items():
                 if len(values) > 1:
                     name = f"{method.name}.{field}"
-                    beside = [m for m in design.methods[:1] if not m.grid]
-                    of = tuple(dict.fromkeys([*beside, method]))
+                    of = (method,) if first.grid else (first, method)  # to compare with
                     drawn.append(_over(design, found, metric.name, name, values, of))
         if drawn:
             parts += [tag("h3", metric.name), *drawn]
