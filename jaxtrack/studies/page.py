@@ -8,7 +8,6 @@ import datetime
 import html
 import importlib.metadata
 import pathlib
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -16,6 +15,9 @@ _HERE = pathlib.Path(__file__)
 _EMPTY = ("meta", "img", "input", "br")
 # Nothing is loaded from anywhere, and browsers see to it.
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+
+
+_OPEN_ROWS = 40
 
 
 class Html(str):
@@ -70,16 +72,6 @@ def link(name: str, text: str) -> Html:
     return tag("a", text, href=f"#{name}")
 
 
-def slug(*words: str) -> str:
-    """Return words as a name for links.
-
-    Example:
-        >>> slug("nht", "Top 3 at 50 m")
-        'nht-top-3-at-50-m'
-    """
-    return "-".join(re.sub(r"[^a-z0-9]+", "-", word.lower()).strip("-") for word in words)
-
-
 def table(
     name: str,
     caption: str,
@@ -100,22 +92,19 @@ def table(
         left: further columns of words.
 
     Example:
-        >>> "<th scope=\\"row\\">joint</th>" in table("t", "Found", ["", "I"], [["joint", "3"]])
+        >>> '<th scope="row">joint</th>' in table("t", "Found", ["", "I"], [["joint", "3"]])
         True
     """
     side = lambda column: "words" if column < fields or column in left else None
 
     def cell(column: int, text: str) -> Html:
         verdict = f"verdict {text}" if text in ("pass", "fails", "smoke") else side(column)
-        inside = joined([text]).replace("\n", "<br>")
         if column < fields and text:
-            return tag("th", Html(inside), scope="row")
-        return tag("td", Html(inside), class_=verdict)
+            return tag("th", _lines(text), scope="row")
+        return tag("td", _lines(text), class_=verdict)
 
     top = joined(
-        tag("th", Html(joined([head]).replace("\n", "<br>")), scope="col", class_=side(column))
-        if head
-        else tag("td")
+        tag("th", _lines(head), scope="col", class_=side(column)) if head else tag("td")
         for column, head in enumerate(heads)
     )
     body = joined(
@@ -124,14 +113,13 @@ def table(
     )
     inner = tag(
         "table",
-        tag("caption", caption, id=f"{name}-caption"),
+        tag("caption", tag("span", caption), id=f"{name}-caption"),
         tag("thead", tag("tr", top)),
         tag("tbody", body),
         id=name,
     )
-    return tag(
-        "div", inner, class_="scroll", role="region", aria_labelledby=f"{name}-caption", tabindex="0"
-    )
+    box = {"class_": "scroll", "role": "region", "tabindex": "0"}
+    return tag("div", inner, aria_labelledby=f"{name}-caption", **box)
 
 
 def facts(entries: Mapping[str, str | None]) -> Html:
@@ -143,6 +131,11 @@ def facts(entries: Mapping[str, str | None]) -> Html:
 def details(title: str, *inside: str, opened: bool = False) -> Html:
     """Return what is opened by its title; print shows it open."""
     return tag("details", tag("summary", title), *inside, open=opened)
+
+
+def folded(table: Html, rows: int) -> Html:
+    """Return a table, of many rows one that is opened by a click."""
+    return table if rows <= _OPEN_ROWS else details(f"Table of {rows} rows", table)
 
 
 def code(text: str, label: str) -> Html:
@@ -205,6 +198,10 @@ def document(title: str, lead: str, sections: Sequence[Section], script: str = "
         tag("script", Html(own + script)),
     )
     return f"<!doctype html>\n{tag('html', head, body, lang='en')}\n"
+
+
+def _lines(text: str) -> Html:
+    return Html(joined([text]).replace("\n", "<br>"))
 
 
 def write(file: pathlib.Path, text: str) -> str:

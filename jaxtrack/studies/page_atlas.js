@@ -79,7 +79,7 @@
     const rest = map.axes.filter((axis) => axis !== down && axis !== across)
       .map((axis) => `${axis} = ${map.labels[place(axis)][at[axis]]}`).join(", ");
     const caption = `${map.metric}, ${map.what}: ${down} down, ${across} across` + (rest ? `; ${rest}` : "");
-    table.caption.textContent = caption;
+    table.caption.firstChild.textContent = caption;
     table.tHead.rows[0].replaceChildren(made("td"), ...columns.map((c) => made("th", { textContent: c, scope: "col" })));
     table.tBodies[0].replaceChildren(...rows.map((label, i) =>
       made("tr", {}, made("th", { textContent: label, scope: "row" }), ...columns.map((_, j) => cell(index(i, j))))));

@@ -55,7 +55,7 @@ def atlas(maps: Sequence[Map]) -> Html:
     heads = (tag("th", label, scope="col") for label in first.labels[across])
     shown = tag(
         "table",
-        tag("caption", caption, id="atlas-caption"),
+        tag("caption", tag("span", caption), id="atlas-caption"),
         tag("thead", tag("tr", tag("td"), *heads)),
         tag("tbody", *rows),
         id="atlas-map",

@@ -127,7 +127,7 @@ def _frame(
     told = []
     for name, curve in panel.curves.items():
         number = names.index(name)
-        aside = 2.0 * (number - (len(names) - 1) / 2) if len(names) > 1 else 0.0
+        aside = 3.0 * (number - (len(names) - 1) / 2) if len(names) > 1 else 0.0
         known = [p for p in curve if math.isfinite(p.mean)]
         spots = [(x(places[p.at]) + aside, y(p.mean)) for p in known]
         for (left, _), p in zip(spots, known, strict=True):

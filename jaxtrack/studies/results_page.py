@@ -54,9 +54,9 @@ def page_of(found: Sequence[Found]) -> str:
     sections = [Section(one.study.name, one.study.name, _study(one)) for one in found]
     lead = tag(
         "p",
-        "The papers' experiments, run again: ours beside what the paper says, and verdicts on marks "
-        "that were fixed beforehand. A mark is missed when the whole 95 % interval lies on its "
-        "wrong side; below twenty trials there is no verdict (smoke).",
+        "The papers' experiments, run again: ours beside what the paper says, and verdicts on "
+        "marks that were fixed beforehand. A mark is missed when the whole 95 % interval lies on "
+        "its wrong side; below twenty trials there is no verdict (smoke).",
     )
     return page.document("jaxtrack: results", lead, [overview, *sections])
 
@@ -83,7 +83,7 @@ def _overview(found: Sequence[Found]) -> Html:
             continue
         heads = ("mark", "study", "ours", "95 %", "wanted", "paper")
         title = f"{title}: {len(lines)}"
-        listed = page.table(page.slug("marks", word), title, heads, lines, left=(1, 5))
+        listed = page.table(f"marks-{word}", title, heads, lines, left=(1, 5))
         parts.append(listed if word == FAILS else page.details(title, listed))
     return joined(parts)
 
@@ -105,16 +105,16 @@ def _mark(one: Found, mark: Mapping[str, Any]) -> tuple[str, ...]:
 def _place(one: Found, what: str) -> str:
     """Return where a mark stands: its row, or its study where no table has it."""
     for name, table in _tables(one):
-        for number, row in enumerate(table["rows"]):
+        for place, row in enumerate(table["rows"]):
             if row[0] == what and row[-1] in (PASS, FAILS, SMOKE):
-                return f"{name}-{number}"
+                return f"{name}-{place}"
     return one.study.name
 
 
 def _tables(one: Found) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    for number, thing in enumerate(one.about["shown"], start=1):
+    for place, thing in enumerate(one.about["shown"], start=1):
         if not isinstance(thing, str):
-            yield f"{one.study.name}-table-{number}", thing
+            yield f"{one.study.name}-table-{place}", thing
 
 
 def _study(one: Found) -> Html:
@@ -133,13 +133,13 @@ def _study(one: Found) -> Html:
     )
     parts: list[str] = [tag("p", one.study.title), facts, tag("h3", "Tables")]
     tables = dict(_tables(one))
-    for number, thing in enumerate(about["shown"], start=1):
+    for place, thing in enumerate(about["shown"], start=1):
         if isinstance(thing, str):
             parts.append(tag("p", thing))
             continue
-        at = f"{name}-table-{number}"
+        at = f"{name}-table-{place}"
         table = tables[at]
-        title = table["title"] or f"Table {number}"
+        title = table["title"] or f"Table {place}"
         parts.append(page.table(at, title, table["heads"], table["rows"], left=table["left"]))
     files = sorted(one.folder.glob("*.png"))
     if files:
