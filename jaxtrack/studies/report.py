@@ -48,7 +48,7 @@ def report_of(outcome: Outcome, folder: pathlib.Path) -> str:
         runs = report_runs.runs(design, rows, found.trials, report_runs.rate_of(outcome.store))
         sections.append(Section("runs", "How many runs do I need", runs))
         script += report_runs.SCRIPT.read_text(encoding="utf-8")
-    sections.append(Section("file", "The study's file", page.code(design.text, "The study's file")))
+    sections.append(Section("file", "The study's file", page.code(design.text.strip(), "The study's file")))
     sections.append(Section("made", "How it was made", _made(outcome)))
     sections.append(Section("again", "How to run it again", _again(outcome, folder)))
     return page.document(f"Study {folder.resolve().name}", _lead(outcome, folder), sections, script)

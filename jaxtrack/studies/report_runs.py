@@ -129,7 +129,7 @@ def rate_of(store: chunks.Chunks) -> float | None:
     if not gaps.size:
         return None
     # The nights between two sessions are no computing.
-    gaps = gaps[gaps <= 10 * np.quantile(gaps, 0.75)]
+    gaps = gaps[gaps <= 10 * np.quantile(gaps, 0.75, method="lower")]
     seconds = float(gaps.sum())
     return gaps.size * store.chunk / seconds if seconds > 1e-3 * gaps.size else None
 

@@ -11,6 +11,7 @@ import pathlib
 import select
 import shutil
 import subprocess
+import sys
 import time
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
@@ -26,6 +27,13 @@ _FLAGS = (
     "--remote-debugging-pipe",
 )
 _PATIENCE_S = 60.0
+# The browser reads from descriptor 3 and writes to 4.
+_START = """
+import os, sys
+os.dup2(int(sys.argv[1]), 100), os.dup2(int(sys.argv[2]), 101)
+os.dup2(100, 3), os.dup2(101, 4)
+os.execv(sys.argv[3], sys.argv[3:])
+"""
 
 
 def found():
@@ -38,8 +46,7 @@ def opened(profile: pathlib.Path):
     """Yield a browser's page; `profile` is a new, empty folder."""
     read, to_browser = os.pipe()
     from_browser, write = os.pipe()
-    # The browser reads from descriptor 3 and writes to 4.
-    piped = ["sh", "-c", f'exec "$@" 3<&{read} 4>&{write}', "sh", found()]
+    piped = [sys.executable, "-c", _START, str(read), str(write), found()]
     with open(profile.with_suffix(".log"), "wb") as log:
         browser = subprocess.Popen(
             [*piped, *_FLAGS, f"--user-data-dir={profile}"],
