@@ -18,6 +18,7 @@ _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-
 
 
 _OPEN_ROWS = 40
+_WIDE = 12  # columns that paper only takes in small type
 
 
 class Html(str):
@@ -117,6 +118,7 @@ def table(
         tag("thead", tag("tr", top)),
         tag("tbody", body),
         id=name,
+        class_="wide" if len(heads) >= _WIDE else None,
     )
     box = {"class_": "scroll", "role": "region", "tabindex": "0"}
     return tag("div", inner, aria_labelledby=f"{name}-caption", **box)
@@ -146,7 +148,8 @@ def code(text: str, label: str) -> Html:
 def picture(png: bytes, alt: str, caption: str) -> Html:
     """Return a PNG with what it shows in words."""
     source = f"data:image/png;base64,{base64.b64encode(png).decode()}"
-    shown = tag("img", src=source, alt=alt, loading="lazy", decoding="async")
+    width, height = (int.from_bytes(png[at : at + 4], "big") or None for at in (16, 20))
+    shown = tag("img", src=source, alt=alt, width=width, height=height, decoding="async")
     return tag("figure", shown, tag("figcaption", caption))
 
 

@@ -33,6 +33,8 @@ def work(context):
     say(
         tables.grid_table("Found [bold]a run[/]", ["HT"], ["I & II"], [["1.00/2\n3 m"]], trials=200)
     )
+    wide = [f"{column}: mean OSPA" for column in range(16)]
+    say(tables.grid_table("Wide", ["joint"], wide, [["19.25 ± .25 m"] * 16], trials=200))
     say(tables.marks_table("Marks, fixed beforehand", ROWS[:4]))
     say(tables.failed_table("All marks", ROWS))
     say("Optuna is not installed.")
@@ -40,7 +42,7 @@ def work(context):
     store.save(context.out, {"a": xr.Dataset({"x": ("t", np.arange(3))})}, summary)
     panels = {"Noise": {"joint": (np.arange(3.0), np.ones(3), np.ones(3))}}
     figure = plots.error_curves(panels, x_label="σ, m", y_label="OSPA, m", title="Errors by noise")
-    plots.save(figure, context.out / "figure_02_errors.png")
+    plots.save(figure, context.out / "figure_16_velocity_ospa_clutter_in_missed_beams.png")
 
 
 NHT = Study("nht", "Track initiation", "A paper", 50, 5000, 9.0, 540.0, work)
@@ -108,7 +110,7 @@ def test_marks_missed_and_reached_come_first_with_links_to_their_rows(page, out)
     assert page.tables[2]["caption"] == "Marks reached: 2"
     links = [a["href"] for tag, a in page.tags if tag == "a" and "table" in a["href"]]
     # HT, nothing; joint, √: found in the table of all marks or in that of the missed ones.
-    assert links == ["#nht-table-2-1", "#nht-table-3-1", "#nht-table-2-0", "#nht-table-2-2"]
+    assert links == ["#nht-table-3-1", "#nht-table-4-1", "#nht-table-3-0", "#nht-table-3-2"]
 
 
 def test_figures_are_inside_with_what_they_show_in_words(page, out):
@@ -117,7 +119,7 @@ def test_figures_are_inside_with_what_they_show_in_words(page, out):
         image["alt"]
         == "Errors by noise. Noise: OSPA, m mean ± 2 standard errors over σ, m. Shown: joint."
     )
-    assert "Errors by noise (figure_02_errors.png)" in page.text
+    assert "Errors by noise (figure_16_velocity_ospa_clutter_in_missed_beams.png)" in page.text
 
 
 def test_a_figure_without_words_is_told_by_its_name(out, tmp_path):
