@@ -24,6 +24,7 @@ _FLAGS = (
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
+    "--disable-dev-shm-usage",  # small in containers
     "--remote-debugging-pipe",
 )
 _PATIENCE_S = 60.0
