@@ -3,6 +3,7 @@
 import collections
 import datetime
 import pathlib
+import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -48,7 +49,8 @@ def report_of(outcome: Outcome, folder: pathlib.Path) -> str:
         runs = report_runs.runs(design, rows, found.trials, report_runs.rate_of(outcome.store))
         sections.append(Section("runs", "How many runs do I need", runs))
         script += report_runs.SCRIPT.read_text(encoding="utf-8")
-    sections.append(Section("file", "The study's file", page.code(design.text.strip(), "The study's file")))
+    title = "The study's file"
+    sections.append(Section("file", title, page.code(design.text.strip(), title)))
     sections.append(Section("made", "How it was made", _made(outcome)))
     sections.append(Section("again", "How to run it again", _again(outcome, folder)))
     return page.document(f"Study {folder.resolve().name}", _lead(outcome, folder), sections, script)
@@ -77,7 +79,7 @@ def _lead(outcome: Outcome, folder: pathlib.Path) -> Html:
         rule = f", or until the standard errors of {design.until.metric} are {design.until.se:g}"
     parts = [tag("p", f"{trials} of {design.trials} trials{rule}, seed {design.seed}.")]
     if not outcome.complete:
-        resume = tag("code", f"jaxtrack study resume {folder}")
+        resume = tag("code", f"jaxtrack study resume {shlex.quote(str(folder))}")
         parts.append(tag("p", tag("strong", "Not complete."), " To go on: ", resume, class_="note"))
     if outcome.damaged:
         numbers = ", ".join(map(str, outcome.damaged))
@@ -143,8 +145,8 @@ def _again(outcome: Outcome, folder: pathlib.Path) -> Html:
     versions = " ".join(f"{k}=={about[k]}" for k in ("jax", "jaxlib", "numpy") if k in about)
     name = f"{folder.resolve().name}.toml"
     commands = (
-        f"pip install 'jaxtrack[studies]=={about.get('jaxtrack')}' {versions}\n"
-        f"{setting}jaxtrack study run {name} --out another_folder"
+        f"pip install '.[studies]' {versions}    # in jaxtrack's source, {about.get('jaxtrack')}\n"
+        f"{setting}jaxtrack study run {shlex.quote(name)} --out another_folder"
     )
     own = [part.where for part in _parts(outcome.design) if ":" in _function(outcome.design, part)]
     words = f"Save the study's file as {name}"

@@ -49,7 +49,7 @@ def _over(
     chosen = _some(frames, _MOST_PANELS)
     each = max(MOST_CURVES // len(methods), 1)
     curves: dict[str, tuple[str, dict[str, int]]] = {}
-    left_out = len(frames) - len(chosen)
+    left_out = len(frames) - len(chosen) + max(len(methods) - MOST_CURVES, 0)
     for method in methods[:MOST_CURVES]:
         own = {f"{method.name}.{k}": v for k, v in method.grid.items()}
         cells = _cells({k: v for k, v in own.items() if k != field})
