@@ -1,7 +1,7 @@
 "use strict";
-// What is closed on the screen is open on paper.
+// What is closed on the screen is open on paper, long tables apart.
 addEventListener("beforeprint", () => {
-  for (const part of document.querySelectorAll("details:not([open])")) {
+  for (const part of document.querySelectorAll("details:not([open], .long)")) {
     part.open = true;
     part.dataset.closed = "";
   }

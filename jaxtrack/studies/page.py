@@ -130,14 +130,17 @@ def facts(entries: Mapping[str, str | None]) -> Html:
     return tag("dl", *(tag("div", tag("dt", n), tag("dd", value)) for n, value in known))
 
 
-def details(title: str, *inside: str, opened: bool = False) -> Html:
+def details(title: str, *inside: str) -> Html:
     """Return what is opened by its title; print shows it open."""
-    return tag("details", tag("summary", title), *inside, open=opened)
+    return tag("details", tag("summary", title), *inside)
 
 
-def folded(table: Html, rows: int) -> Html:
-    """Return a table, of many rows one that is opened by a click."""
-    return table if rows <= _OPEN_ROWS else details(f"Table of {rows} rows", table)
+def folded(title: str, table: Html, rows: int) -> Html:
+    """Return a table; one of many rows is opened by a click, and printed if it is open."""
+    if rows <= _OPEN_ROWS:
+        return table
+    summary = tag("summary", f"{title}: {rows} rows (printed if open)")
+    return tag("details", summary, table, class_="long")
 
 
 def code(text: str, label: str) -> Html:

@@ -100,7 +100,7 @@ def _results(rows: Sequence[Mapping[str, Any]], trials: int) -> Html:
             "one, on the same draws. Its error is that of the pairs.",
         )
     shown = page.table("table", caption, heads, cells, fields=fields)
-    return joined([words, page.folded(shown, len(cells))])
+    return joined([words, page.folded("Means and paired differences", shown, len(cells))])
 
 
 def _made(outcome: Outcome) -> Html:

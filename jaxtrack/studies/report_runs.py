@@ -81,7 +81,7 @@ def runs(
                 [_apart(one, trials, rate) for one in apart],
                 fields=2,
             )
-            parts.append(page.folded(shown, len(apart)))
+            parts.append(page.folded("Trials for paired differences", shown, len(apart)))
     words = "A difference that is within its error says little of how many trials it needs."
     return joined([*parts, tag("p", words, class_="soft")])
 

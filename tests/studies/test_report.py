@@ -12,6 +12,7 @@ import pytest
 from jaxtrack.cli import main
 from jaxtrack.studies import chunks, report, report_runs, run, summary
 from jaxtrack.studies.design import read_design
+from jaxtrack.studies.page import folded, table
 from jaxtrack.studies.page_curves import steps
 from jaxtrack.studies.report_runs import trials_for
 from tests.studies.own_study import FILE, bytes_in, written
@@ -270,3 +271,13 @@ def test_times_of_chunks_are_those_of_their_records(ran):
     assert set(chunks.commit_times(store)) == {0, 1}
     file = pathlib.Path(ran / "part" / "commits" / "00000001.json")
     assert chunks.commit_times(store)[1] == file.stat().st_mtime
+
+
+def test_long_tables_are_opened_by_a_click():
+    rows = [[str(n), "1"] for n in range(41)]
+    few, many = (
+        folded("Means", table("t", "Means", ["", "x"], rows[:n], fields=1), n) for n in (40, 41)
+    )
+    assert "<details" not in few
+    assert many.startswith('<details class="long"><summary>Means: 41 rows (printed if open)<')
+    assert many.count("<tr") == 42
