@@ -22,7 +22,7 @@ def save(figure: Figure, path: pathlib.Path) -> None:
         ...     (pathlib.Path(folder) / "empty.png").exists()
         True
     """
-    title, *_ = [*_titles(figure), path.stem]
+    title, *_ = [*_titles(figure), path.stem.replace("_", " ")]
     figure.savefig(
         path, dpi=_DPI, format="png", metadata={"Title": title, "Description": described(figure)}
     )
@@ -41,7 +41,7 @@ def described(figure: Figure) -> str:
     """
     top = figure.get_suptitle()
     bars = [axes for axes in figure.axes if axes.get_label() == "<colorbar>"]
-    panels = [axes for axes in figure.axes if axes not in bars and axes.axison]
+    panels = [axes for axes in figure.axes if axes not in bars]
     ticks = lambda axes: " and ".join(filter(None, [axes.get_ylabel(), axes.get_xlabel()]))
     told = dict.fromkeys(": ".join(filter(None, [_title(p), _axes(p)])) for p in panels)
     parts = [top, *told]
@@ -69,4 +69,5 @@ def _title(axes: Any) -> str:
 
 
 def _axes(axes: Any) -> str:
-    return " over ".join(filter(None, [axes.get_ylabel(), axes.get_xlabel()]))
+    shown = [axes.get_ylabel(), axes.get_xlabel()] if axes.axison else []
+    return " over ".join(filter(None, shown))
