@@ -13,7 +13,7 @@ CACHED := JAX_COMPILATION_CACHE_DIR=.jax_cache JAX_PERSISTENT_CACHE_MIN_COMPILE_
 
 .PHONY: reproduce reproduce-full test test-slow lint bench notebooks clean
 
-reproduce: $(RUN) ## the main job: every study, reduced; tables and figures under results/
+reproduce: $(RUN) ## the main job: every study, reduced; tables, figures and a page of all under results/
 	$(BIN)/jaxtrack reproduce $(STUDIES) $(if $(TRIALS),--trials $(TRIALS))
 
 reproduce-full: $(RUN) ## the stated numbers of trials; says beforehand how long it takes

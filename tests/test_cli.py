@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+import jaxtrack
 from jaxtrack.cli import main
 from jaxtrack.cli.screen import console_of_tables
 
@@ -315,6 +316,7 @@ def studies(monkeypatch):
         raise KeyboardInterrupt
 
     module = types.ModuleType("jaxtrack.studies")
+    module.__path__ = [str(pathlib.Path(jaxtrack.__file__).parent / "studies")]
     good = FakeStudy("nht", "Track initiation", "A paper", 50, 5000, 9.0, 540.0, work)
     bad = good._replace(name="stop", run=interrupted)
     module.STUDIES = {"nht": good, "stop": bad}  # pyright: ignore
@@ -339,6 +341,8 @@ def test_reproduce_gives_each_study_its_folder_seed_and_trials(run, studies):
     assert pathlib.Path("results/nht/table.txt").read_text() == "1"
     for words in ("seed 7", "jaxtrack ", "jax ", "numpy ", "Python ", "device", "a table"):
         assert words in out
+    assert out.splitlines()[-1].startswith("results/report.html (")
+    assert "a table" in pathlib.Path("results/report.html").read_text()
     assert run("reproduce", "nht", "--trials", "3", "--out", "elsewhere")[0] == 0
     assert (studies[1].trials, studies[1].out) == (3, pathlib.Path("elsewhere/nht"))
 
@@ -380,6 +384,7 @@ def test_an_interrupt_ends_with_130(run, studies):
     code, _, err = run("reproduce")
     assert code == 130
     assert len(studies) == 1  # the study before it is kept
+    assert "a table" in pathlib.Path("results/report.html").read_text()
     assert err == "jaxtrack: interrupted\n"
 
 

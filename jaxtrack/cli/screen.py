@@ -236,11 +236,6 @@ def draw(
     scene.savefig(path)
 
 
-def duration(seconds: float) -> str:
-    """Return seconds in words."""
-    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} minutes"
-
-
 def seed_of(seed: int) -> int:
     """Return a seed that JAX takes, or complain of it."""
     if not 0 <= seed < 2**31:

@@ -3,11 +3,12 @@
 import os
 import pathlib
 import platform
+import shlex
+import time
 from importlib import metadata
 
 from jaxtrack.cli.screen import (
     console_of_tables,
-    duration,
     fail,
     line,
     progress,
@@ -44,6 +45,8 @@ def reproduce(
 ) -> int:
     """Run studies; tables go to the screen, tables and figures into a folder a study.
 
+    At the end all that the folder holds is one page, report.html.
+
     Args:
         names: which studies; none: all of them.
         trials: trials a cell, instead of the study's own number.
@@ -56,7 +59,9 @@ def reproduce(
     use_all_cores()
     import jax
 
-    from jaxtrack.studies import STUDIES, Context
+    from jaxtrack.studies import STUDIES, Context, shown
+    from jaxtrack.studies.results_page import write_page
+    from jaxtrack.studies.tables import duration
 
     console, errors = console_of_tables(), Console(stderr=True)
     unknown = [name for name in names if name not in STUDIES]
@@ -76,11 +81,14 @@ def reproduce(
     devices = jax.devices()
     packages = ("jaxtrack", "jax", "numpy")
     versions = ", ".join(f"{name} {metadata.version(name)}" for name in packages)
-    console.print(f"seed {seed}; {versions}, Python {platform.python_version()}", highlight=False)
-    console.print(f"{len(devices)} × {devices[0].device_kind} device", highlight=False)
+    versions += f", Python {platform.python_version()}"
+    console.print(f"seed {seed}; {versions}", highlight=False)
+    kind = f"{len(devices)} × {devices[0].device_kind} device"
+    console.print(kind, highlight=False)
     if full:
         seconds = sum(study.seconds_full for study in studies)
         console.print(f"The full run takes about {duration(seconds)} on two cores.")
+    page = ""
     for study in studies:
         console.rule(f"{study.name}: {study.title}", align="left")
         count = trials or (study.trials_full if full else study.trials_short)
@@ -89,7 +97,22 @@ def reproduce(
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             return fail(line(error))
-        with progress(errors) as report:
+        about = {
+            "seed": seed,
+            "trials": count,
+            "versions": versions,
+            "devices": kind,
+            "command": f"jaxtrack reproduce {study.name} --trials {count} --seed {seed}"
+            f" --out {shlex.quote(str(out))}",
+        }
+        begun = time.perf_counter()
+        with progress(errors) as report, shown.recorded(console) as seen:
             study.run(Context(folder, count, seed, console, report))
+        shown.save(folder, seen, about, time.perf_counter() - begun)
         console.print(f"{folder}{os.sep}", highlight=False)
+        try:  # after each study, lest an interrupt leave the ones before without
+            page = write_page(out, STUDIES)
+        except OSError as error:
+            return fail(line(error))
+    console.print(page, highlight=False, soft_wrap=True)
     return 0

@@ -19,22 +19,24 @@ _SAY_AFTER_S = 30.0  # without a terminal, progress is a line that often
 
 
 def study(
-    action: Literal["run", "resume", "status"],
+    action: Literal["run", "resume", "status", "report"],
     target: pathlib.Path,
     /,
     *,
     out: pathlib.Path | None = None,
 ) -> int:
-    """Run a study that a TOML file describes, go on with it, or see how far it is.
+    """Run a study that a TOML file describes, go on with it, see how far it is, or report it.
 
     Args:
-        action: run a file (and go on, if its folder is there); resume or show a folder.
+        action: run a file (and go on, if its folder is there); resume or show a folder, or write
+            its report.html, also before it is complete.
         target: of run: a TOML file, or the name of one that comes with jaxtrack; else a folder.
         out: of run: the folder for the results; results/NAME if it is not given.
     """
     use_all_cores()
     from jaxtrack.studies.design import read_design
     from jaxtrack.studies.functions import shipped_study
+    from jaxtrack.studies.report import write_report
     from jaxtrack.studies.run import open_study, run_study, status_of
     from jaxtrack.studies.study_file import StudyError
 
@@ -43,6 +45,9 @@ def study(
     try:
         if action == "status":
             _show(status_of(target), target)
+            return 0
+        if action == "report":
+            print(write_report(status_of(target), target))
             return 0
         if action == "resume":
             design, folder = open_study(target), target
@@ -112,14 +117,16 @@ def progress_text(progress: "Progress") -> str:
         >>> progress_text(Progress(250, 1000, 50.0, ("mean.error_m", 1.25, 0.031)))
         '25 %, 250 of 1000 trials, 50 a second, 15 s left, mean.error_m 1.25 ± .031'
     """
+    from jaxtrack.studies.tables import duration, plus_minus
+
     done, total, rate = progress.done, progress.total, progress.rate
-    left = _duration(max(total - done, 0) / rate) if rate > 0 else "?"
+    left = duration(max(total - done, 0) / rate) if rate > 0 else "?"
     share = math.floor(100 * min(done / total, 1))
     text = f"{share} %, {done:.0f} of {total:.0f} trials, {rate:.3g} a second, {left} left"
     if progress.last is None:
         return text
     name, mean, error = progress.last
-    return f"{text}, {name} {_figure(mean, error)}"
+    return f"{text}, {name} {plus_minus(mean, error)}"
 
 
 def _show(outcome: "Outcome", folder: pathlib.Path) -> None:
@@ -127,6 +134,7 @@ def _show(outcome: "Outcome", folder: pathlib.Path) -> None:
     from rich.table import Table
 
     from jaxtrack.studies import summary
+    from jaxtrack.studies.report import table_of
 
     console = console_of_tables()
     design, found = outcome.design, outcome.found
@@ -136,14 +144,12 @@ def _show(outcome: "Outcome", folder: pathlib.Path) -> None:
         rule = f", or until the standard errors of {design.until.metric} are {design.until.se:g}"
     console.print(f"{folder}: {trials} of {design.trials} trials{rule}", highlight=False)
     if found is not None:
-        rows = list(summary.rows(design, found))
-        heads = list(dict.fromkeys(key for row in rows for key in row))
-        heads.sort(key=lambda head: isinstance(_first(rows, head), tuple))  # the fields first
+        heads, rows, _ = table_of(list(summary.rows(design, found)))
         table = Table(box=None, pad_edge=False)
         for head in heads:
             table.add_column(head, justify="left" if head == "method" else "right")
         for row in rows:
-            table.add_row(*(_cell(row.get(head)) for head in heads))
+            table.add_row(*row)
         console.print(table, markup=False)
     if outcome.damaged:
         numbers = ", ".join(map(str, outcome.damaged))
@@ -152,36 +158,3 @@ def _show(outcome: "Outcome", folder: pathlib.Path) -> None:
         console.print("complete", highlight=False)
     else:
         console.print(f"to go on: jaxtrack study resume {folder}", highlight=False, soft_wrap=True)
-
-
-def _first(rows: list[dict[str, Any]], head: str) -> Any:
-    return next(row[head] for row in rows if head in row)
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return ""
-    return _figure(*value) if isinstance(value, tuple) else str(value)
-
-
-def _figure(mean: float, error: float) -> str:
-    from jaxtrack.studies.tables import number
-
-    return f"{number(mean)} ± {number(error)}"
-
-
-def _duration(seconds: float) -> str:
-    """Return seconds in words, days at most.
-
-    Example:
-        >>> _duration(5000.0)
-        '83 minutes'
-    """
-    for least, unit, name in (
-        (48 * 3600, 86400, "days"),
-        (7200, 3600, "hours"),
-        (120, 60, "minutes"),
-    ):
-        if seconds >= least:
-            return f"{seconds / unit:.0f} {name}"
-    return f"{seconds:.0f} s"

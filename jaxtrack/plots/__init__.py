@@ -1,4 +1,4 @@
-"""Figures: data in, a `matplotlib.figure.Figure` out; the caller saves it."""
+"""Figures: data in, a `matplotlib.figure.Figure` out; the caller saves it, `save` with words."""
 
 from jaxtrack.plots.accumulations import accumulations
 from jaxtrack.plots.comparisons import means, run_times, scores
@@ -19,6 +19,7 @@ from jaxtrack.plots.particles import (
     turned_steps,
 )
 from jaxtrack.plots.pings import pings_map
+from jaxtrack.plots.saving import save
 from jaxtrack.plots.scene import scene
 from jaxtrack.plots.sinusoids import sinusoids
 from jaxtrack.plots.sonar_frames import sonar_frames
@@ -42,6 +43,7 @@ __all__ = [
     "positions_over_time",
     "pursuit",
     "run_times",
+    "save",
     "scene",
     "scores",
     "sinusoids",

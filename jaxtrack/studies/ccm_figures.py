@@ -51,7 +51,7 @@ def draw(
         seen = looks[name]
         title = f"Situation {name}, a run"
         figure = plots.meetings(_near(seen), seen.truth, paths_m[name], title=title)
-        figure.savefig(out / f"figure_{number}.png", dpi=150)
+        plots.save(figure, out / f"figure_{number}.png")
         progress(done := done + 1, total)
     for name, number in _ON_SONAR.items():
         paths = {method: paths_m[name][method] for method in _PAPERS}
@@ -64,7 +64,7 @@ def draw(
             title=f"Situation {name}: all sweeps, the truth where they meet",
             axes="x_y",
         )
-        figure.savefig(out / f"figure_{number}.png", dpi=150)
+        plots.save(figure, out / f"figure_{number}.png")
         progress(done := done + 1, total)
     panels = {}
     for name in _OVER_TIME:
@@ -77,7 +77,7 @@ def draw(
         }
     title = f"Root mean square distance over {trials} runs"
     figure = plots.error_curves(panels, x_label="look", y_label="distance, m", title=title)
-    figure.savefig(out / "figure_12_errors_over_time.png", dpi=150)
+    plots.save(figure, out / "figure_12_errors_over_time.png")
     progress(total, total)
 
 

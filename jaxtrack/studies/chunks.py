@@ -143,6 +143,11 @@ def committed(store: Chunks) -> set[int]:
     return {int(name) for name in names if re.fullmatch(r"\d{8}", name)}
 
 
+def commit_times(store: Chunks) -> dict[int, float]:
+    """Return when the chunks were stored, in seconds since 1970, as far as files can tell."""
+    return {number: _record_file(store, number).stat().st_mtime for number in committed(store)}
+
+
 def read(store: Chunks, number: int) -> dict[str, np.ndarray] | None:
     """Return a chunk's values, `[grid …, trials of the chunk]`; None if it is not there or damaged.
 

@@ -80,7 +80,7 @@ def draw(
             jobs[rates] = functools.partial(_by_rates, here, field, unit, variant)
             jobs[noise] = functools.partial(_by_sigma, here, field, unit, variant)
     for done, (name, job) in enumerate(sorted(jobs.items()), start=1):
-        job().savefig(out / f"{name}.png", dpi=150)
+        plots.save(job(), out / f"{name}.png")
         progress(done, len(jobs))
 
 

@@ -133,7 +133,7 @@ def draw(
         label="OSPA at the last look, m",
         title="Two targets before a sonar that always reports, held-out scenes",
     )
-    figure.savefig(out / "ospa_by_method.png", dpi=150)
+    plots.save(figure, out / "ospa_by_method.png")
     progress(1, total)
     # Arrays of a network say nothing one by one: the gate alone is drawn.
     result = fits["tracks", 0]
@@ -141,7 +141,7 @@ def draw(
     figure = plots.fit_history(
         result._replace(history=history), title="A network trained through the joint vote"
     )
-    figure.savefig(out / "training.png", dpi=150)
+    plots.save(figure, out / "training.png")
     progress(2, total)
     tenth = 0.1 * sensitivity.specification.values
     ways = {"score function": "slope", "central difference, common draws": "difference"}
@@ -170,5 +170,5 @@ def draw(
         label="OSPA, metres a tenth of the specification",
         title="Which specification of the sonar matters",
     )
-    figure.savefig(out / "sensitivity.png", dpi=150)
+    plots.save(figure, out / "sensitivity.png")
     progress(3, total)

@@ -34,6 +34,8 @@ def draw(
         runs: one of each scene that is shown.
         progress: (done, total).
     """
+    from jaxtrack import plots
+
     jobs: dict[str, Callable[[], Any]] = {"figure_06_turned_steps": _turned}
     for scene, (seen, tracks) in runs.items():
         where = scene.replace(", ", "_").replace(" ", "_")
@@ -46,7 +48,7 @@ def draw(
         jobs[f"figure_{path}_paths_{where}"] = functools.partial(_paths, seen, tracks, scene)
         jobs[f"figure_{off}_deviations_{where}"] = functools.partial(_off, seen, tracks, scene)
     for done, (name, job) in enumerate(sorted(jobs.items()), start=1):
-        job().savefig(out / f"{name}.png", dpi=150)
+        plots.save(job(), out / f"{name}.png")
         progress(done, len(jobs))
 
 

@@ -77,7 +77,7 @@ def draw(
             _accumulations, cells[name], title=title
         )
     for done, (name, job) in enumerate(sorted(jobs.items()), start=1):
-        job().savefig(out / f"{name}.png", dpi=150)
+        plots.save(job(), out / f"{name}.png")
         progress(done, len(jobs))
 
 

@@ -220,3 +220,30 @@ def number(value: float, unit: str = "") -> str:
     if unit == "rad":
         text = f"{value:.4f}"
     return f"{text} {unit}".strip()
+
+
+def plus_minus(value: float, error: float) -> str:
+    """Return a mean with its standard error.
+
+    Example:
+        >>> plus_minus(1.25, 0.031)
+        '1.25 ± .031'
+    """
+    return f"{number(value)} ± {number(error)}"
+
+
+def duration(seconds: float) -> str:
+    """Return seconds in words, days at most.
+
+    Example:
+        >>> duration(5000.0)
+        '83 minutes'
+    """
+    for least, unit, name in (
+        (48 * 3600, 86400, "days"),
+        (7200, 3600, "hours"),
+        (120, 60, "minutes"),
+    ):
+        if seconds >= least:
+            return f"{seconds / unit:.0f} {name}"
+    return f"{seconds:.0f} s"

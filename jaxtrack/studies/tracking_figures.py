@@ -52,7 +52,7 @@ def draw(
                     _by_sigma, table, measure, variant
                 )
     for done, (name, job) in enumerate(sorted(jobs.items()), start=1):
-        job().savefig(out / f"{name}.png", dpi=150)
+        plots.save(job(), out / f"{name}.png")
         progress(done, len(jobs))
 
 

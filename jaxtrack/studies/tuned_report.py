@@ -146,11 +146,11 @@ def draw(
             },
             title=f"{words.titles[case]}: the loss, and the gradient's ways",
         )
-        figure.savefig(out / f"map_{case}.png", dpi=150)
+        plots.save(figure, out / f"map_{case}.png")
         progress(2 * done + 1, total)
         title = f"{words.titles[case]}, from {starts[0]}"
         figure = plots.fit_history(fits[case, starts[0]], title=title)
-        figure.savefig(out / f"fit_{case}.png", dpi=150)
+        plots.save(figure, out / f"fit_{case}.png")
         progress(2 * done + 2, total)
     plain = scores.realizations.values.astype(float)
     panels = {}
@@ -171,5 +171,5 @@ def draw(
         y_label=f"{measure}, held out",
         title="Mean of the starts, with two standard errors over them",
     )
-    figure.savefig(out / "score_by_realizations.png", dpi=150)
+    plots.save(figure, out / "score_by_realizations.png")
     progress(total, total)

@@ -1,0 +1,173 @@
+"""Curves with error bars as SVG inside a page: sharp on paper, without a library of figures."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from jaxtrack.studies.page import Html, tag
+
+# Okabe and Ito's colours, which the colour-blind tell apart, dark enough for white.
+_COLOURS = ("#0072B2", "#D55E00", "#007a59", "#a85a8a", "#8a6100", "#2f7ea8", "#000000", "#7a7a7a")
+MOST_CURVES = len(_COLOURS)
+# Outlines around a point; the last ones repeat, in other colours.
+_MARKS = (
+    "M-3.2 0a3.2 3.2 0 1 0 6.4 0a3.2 3.2 0 1 0 -6.4 0",
+    "M-3 -3h6v6h-6z",
+    "M0 -4l3.8 7h-7.6z",
+    "M0 -4l4 4l-4 4l-4 -4z",
+    "M0 4l3.8 -7h-7.6z",
+)
+_WIDTH, _HEIGHT = 320, 210
+_LEFT, _RIGHT, _TOP, _BOTTOM = 48, 12, 24, 38
+_LOG_FROM = 20.0  # a span of positive values, last by first, that asks for a logarithmic axis
+
+
+class Point(NamedTuple):
+    """One value of a curve."""
+
+    at: int  # place on the axis
+    mean: float
+    reach: float  # of the error bar, to either side
+
+
+class Panel(NamedTuple):
+    """Curves in one frame."""
+
+    title: str
+    curves: Mapping[str, Sequence[Point]]  # by a name in the key
+
+
+def key(names: Sequence[str]) -> Html:
+    """Return which curve is whose."""
+    swatch = lambda n: tag("svg", _stroke([(-12, 0), (12, 0)], n), _mark(0, 0, n), **_SWATCH)
+    return tag("ul", *(tag("li", swatch(n), f" {x}") for n, x in enumerate(names)), class_="key")
+
+
+def panels(
+    shown: Sequence[Panel], names: Sequence[str], labels: Sequence[str], x_title: str, y_title: str
+) -> Html:
+    """Return frames side by side with one scale.
+
+    Args:
+        shown: the frames.
+        names: of all curves, in the order of colours.
+        labels: of the axis, one a place; numbers stand at their distances.
+        x_title: what runs along the axis.
+        y_title: what is measured.
+    """
+    points = [p for panel in shown for curve in panel.curves.values() for p in curve]
+    known = [p for p in points if math.isfinite(p.mean)]
+    reach = lambda p: p.reach if math.isfinite(p.reach) else 0.0
+    low = min((p.mean - reach(p) for p in known), default=0.0)
+    high = max((p.mean + reach(p) for p in known), default=1.0)
+    ticks = steps(low, high)
+    places, numeric = _places(labels)
+    frame = lambda panel: _frame(panel, names, ticks, places, labels, x_title, y_title, numeric)
+    return tag("div", *(frame(panel) for panel in shown), class_="panels")
+
+
+def steps(low: float, high: float) -> list[float]:
+    """Return round numbers that span an interval, some four of them.
+
+    Example:
+        >>> steps(0.13, 0.71)
+        [0.0, 0.2, 0.4, 0.6, 0.8]
+    """
+    if not high > low:
+        low, high = low - (abs(low) or 1.0) / 2, high + (abs(high) or 1.0) / 2
+    rough = (high - low) / 4
+    power = 10.0 ** math.floor(math.log10(rough))
+    step = min((1, 2, 5, 10), key=lambda m: abs(math.log(m * power / rough))) * power
+    first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
+    return [float(f"{n * step:.10g}") for n in range(first, last + 1)]
+
+
+def _places(labels: Sequence[str]) -> tuple[list[float], bool]:
+    """Return where labels stand, from 0 to 1, and whether they are numbers."""
+    count = len(labels)
+    try:
+        values = [float(label) for label in labels]
+    except ValueError:
+        return [(n + 0.5) / count for n in range(count)], False
+    if not all(map(math.isfinite, values)) or count == 1:
+        return [(n + 0.5) / count for n in range(count)], count == 1
+    if min(values) > 0 and max(values) / min(values) >= _LOG_FROM:
+        values = [math.log(value) for value in values]
+    low, high = min(values), max(values)
+    return [0.04 + 0.92 * (value - low) / (high - low) for value in values], True
+
+
+def _frame(
+    panel: Panel,
+    names: Sequence[str],
+    ticks: Sequence[float],
+    places: Sequence[float],
+    labels: Sequence[str],
+    x_title: str,
+    y_title: str,
+    numeric: bool,
+) -> Html:
+    wide, high = _WIDTH - _LEFT - _RIGHT, _HEIGHT - _TOP - _BOTTOM
+    x = lambda place: _LEFT + wide * place
+    y = lambda value: _TOP + high * (1 - (value - ticks[0]) / (ticks[-1] - ticks[0]))
+    parts = []
+    for tick in ticks:
+        parts.append(_line(_LEFT, y(tick), _WIDTH - _RIGHT, y(tick), class_="grid"))
+        parts.append(_text(_LEFT - 5, y(tick) + 4, f"{tick:g}", "end"))
+    last = -math.inf
+    for place, label in sorted(zip(places, labels, strict=True)):
+        parts.append(_line(x(place), _TOP + high, x(place), _TOP + high + 4, class_="axis"))
+        half = 3.2 * len(label)
+        if x(place) - half > last:  # labels that would overlap are left out
+            parts.append(_text(x(place), _TOP + high + 15, label, "middle"))
+            last = x(place) + half + 4
+    parts.append(_line(_LEFT, _TOP + high, _WIDTH - _RIGHT, _TOP + high, class_="axis"))
+    parts.append(_text(_LEFT + wide / 2, _HEIGHT - 5, x_title, "middle"))
+    parts.append(_text(_LEFT - 40, 13, panel.title, "start", font_weight="600"))
+    told = []
+    for name, curve in panel.curves.items():
+        number = names.index(name)
+        aside = 3.0 * (number - (len(names) - 1) / 2) if len(names) > 1 else 0.0
+        known = [p for p in curve if math.isfinite(p.mean)]
+        spots = [(x(places[p.at]) + aside, y(p.mean)) for p in known]
+        for (left, _), p in zip(spots, known, strict=True):
+            if math.isfinite(p.reach):
+                ends = y(p.mean - p.reach), y(p.mean + p.reach)
+                parts.append(_stroke([(left, ends[0]), (left, ends[1])], number))
+        if numeric:
+            parts.append(_stroke(sorted(spots), number))
+        parts += [_mark(left, top, number) for left, top in spots]
+        values = ", ".join(f"{p.mean:.3g} at {labels[p.at]}" for p in known)
+        told.append(f"{name}: {values or 'nothing'}")
+    title = f"{y_title} against {x_title}" + (f", {panel.title}" if panel.title else "")
+    return tag(
+        "svg",
+        *parts,
+        viewBox=f"0 0 {_WIDTH} {_HEIGHT}",
+        class_="curves",
+        role="img",
+        aria_label=f"{title}. {'; '.join(told)}.",
+    )
+
+
+_SWATCH = {"viewBox": "-14 -7 28 14", "aria_hidden": "true"}
+
+
+def _line(x1: float, y1: float, x2: float, y2: float, class_: str) -> Html:
+    return tag("path", d=f"M{x1:.1f} {y1:.1f}L{x2:.1f} {y2:.1f}", class_=class_, fill="none")
+
+
+def _text(x: float, y: float, text: str, anchor: str, **more: str) -> Html:
+    return tag("text", text, x=f"{x:.1f}", y=f"{y:.1f}", text_anchor=anchor, **more)
+
+
+def _stroke(spots: Sequence[tuple[float, float]], number: int) -> Html | None:
+    if len(spots) < 2:
+        return None
+    way = "L".join(f"{x:.1f} {y:.1f}" for x, y in spots)
+    return tag("path", d=f"M{way}", fill="none", stroke=_COLOURS[number], stroke_width="1.4")
+
+
+def _mark(x: float, y: float, number: int) -> Html:
+    shape = _MARKS[number % len(_MARKS)]
+    return tag("path", d=shape, transform=f"translate({x:.1f} {y:.1f})", fill=_COLOURS[number])
