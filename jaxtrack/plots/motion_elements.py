@@ -233,6 +233,11 @@ def error_curves(
     """
     methods = list(dict.fromkeys(name for panel in panels.values() for name in panel))
     looks = {name: (COLOURS[k % 7], MARKERS[k % 7]) for k, name in enumerate(methods)}
+    printed = dict.fromkeys(name for panel in (paper or {}).values() for name in panel)
+    # What the paper alone has is told apart by its marker.
+    looks |= {
+        n: (INK, MARKERS[-1 - k % 7]) for k, n in enumerate(n for n in printed if n not in looks)
+    }
     with style():
         columns = min(max(len(panels), 1), 4)
         figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
@@ -243,7 +248,7 @@ def error_curves(
                 axes.errorbar(x, mean, yerr=2 * np.asarray(error), color=colour, marker=marker,
                               ms=4.5, lw=1.2, capsize=2, label=method)  # fmt: skip
             for method, (x, mean) in (paper or {}).get(name, {}).items():
-                colour, marker = looks.get(method, (INK, "x"))
+                colour, marker = looks[method]
                 axes.plot(x, mean, color=colour, marker=marker, mfc="white", ms=4.5, lw=0.9,
                           ls=(0, (2, 2)), label=f"{method}, paper")  # fmt: skip
             axes.set_yscale("log")

@@ -80,7 +80,7 @@ def _by_rates(table: xr.Dataset, measure: str, variant: str) -> Any:
         name = f"P_M = {p_miss:g}"
         chosen = table.isel(cell=np.flatnonzero(_at(table, p_miss=p_miss, sigma_m=3.0)))
         panels[name] = _curves(chosen, measure, "p_false")
-        paper[name] = {f"{who} ": (RATES, values[row]) for who, values in printed.items()}
+        paper[name] = {who: (RATES, values[row]) for who, values in printed.items()}
     return plots.error_curves(
         panels,
         x_label="P_F",
@@ -101,7 +101,7 @@ def _by_sigma(table: xr.Dataset, measure: str, variant: str) -> Any:
         {name: _curves(chosen.sortby("sigma_m"), measure, "sigma_m")},
         x_label="σ, m",
         y_label=f"{words}, m",
-        paper={name: {f"{who} ": (SIGMAS_M, values) for who, values in printed.items()}},
+        paper={name: {who: (SIGMAS_M, values) for who, values in printed.items()}},
         title=f"False alarms: {variant}",
     )
 

@@ -100,7 +100,9 @@ def consistency(table: xr.Dataset, variant: str) -> Table:
                 line.append("no track")
                 continue
             left_out = 100 * strays / (own + strays)
-            line.append(f"{float(one.nees.sum()) / own:.1f}\n{left_out:.1f} % left out")
+            nees = float(one.nees.sum()) / own
+            shown = f"{nees:.1f}" if nees < 1e4 else "> 10⁴"
+            line.append(f"{shown}\n{left_out:.1f} % left out")
         lines.append(line)
     names = [_name(table, cell) for cell in range(len(lines))]
     title = f"False alarms: {variant}; NEES of four states, and reports of no target's track"
