@@ -34,8 +34,9 @@ def meetings(scans: Scan, truth: Truth, paths_m: Mapping[str, Any], *, title: st
     counts = np.asarray(scans.mask) & np.asarray(scans.valid)[:, None]
     seen = np.asarray(scans.position_m)[counts]
     real = np.asarray(truth.state)[..., :2]
+    each_in = 0.55 + 0.9 * WIDTH_IN / _COLUMNS * _steepness(seen, real)
     with style():
-        figure = Figure(figsize=(WIDTH_IN, 0.5 + 2.3 * rows), layout="constrained")
+        figure = Figure(figsize=(WIDTH_IN, 0.8 + each_in * rows), layout="constrained")
         grid: Any = figure.subplots(rows, _COLUMNS, sharex=True, sharey=True, squeeze=False)
         for axes in grid.ravel()[len(paths_m) :]:
             axes.set_visible(False)
@@ -45,7 +46,7 @@ def meetings(scans: Scan, truth: Truth, paths_m: Mapping[str, Any], *, title: st
                 label = "truth" if target == 0 else None
                 axes.plot(*real[:, target].T, color=INK, ls=(0, (4, 2)), lw=0.9, label=label)
                 colour, track = COLOURS[target % len(COLOURS)], np.asarray(path)[:, target]
-                axes.plot(*track.T, color=colour, lw=1.6, alpha=0.85, label=f"track {target}")
+                axes.plot(*track.T, color=colour, lw=1.6, alpha=0.85, label=f"track {target + 1}")
             axes.set_title(name, loc="left")
             axes.set_aspect("equal")
             dress(axes)
@@ -76,8 +77,9 @@ def meeting_tracks(truth: Truth, paths_m: Mapping[str, Any], *, title: str = "")
     Source: clustering cloud-like model (2019), figures 9 and 13.
     """
     real = np.asarray(truth.state)[..., :2]
+    height_in = 1.4 + 0.9 * WIDTH_IN / real.shape[1] * _steepness(real)
     with style():
-        figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
+        figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
         row = figure.subplots(1, real.shape[1], sharex=True, sharey=True, squeeze=False)[0]
         for target, axes in enumerate(row):
             axes.plot(*real[:, target].T, color=INK, ls=(0, (4, 2)), lw=0.9, label="truth")
@@ -126,6 +128,13 @@ def meeting_errors(
         figure.legend(*row[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
         figure.suptitle(title, x=0.01, ha="left", fontweight="bold", fontsize=10)
     return figure
+
+
+def _steepness(*places_m: np.ndarray) -> float:
+    """Return how high a map of places [..., 2] is for its width, at most as high as wide."""
+    every = np.concatenate([at.reshape(-1, 2) for at in places_m])
+    wide, high = np.ptp(every, axis=0)
+    return min(high / wide, 1.0) if wide > 0 else 1.0
 
 
 def _curve(axes: Any, x: np.ndarray, y: np.ndarray, k: int, name: str) -> None:

@@ -122,7 +122,9 @@ def kalman_tracker(
 
     Note:
         A detection's delay is not looked at. One that a soft associator shares starts a track only
-        if less than half of it is claimed, and none that a confirmed track's gate holds.
+        if less than half of it is claimed, and none that a confirmed track's gate holds. Where the
+        associator lets a track take several, no track's gate holds one, and of those that may be
+        one target's one starts a track (`births.one_a_neighbourhood`).
     """
     check_size("max_tracks", max_tracks)
     check_size("confirm_looks", confirm_looks)
@@ -134,7 +136,7 @@ def kalman_tracker(
                 "belief_propagation takes more"
             )
         associator = ASSOCIATORS[associator]
-    associate, update = associator
+    associate, update, several = associator
     _check(params, confirm_looks)
 
     numbers = params.sigma_m, params.sigma_a_m_s2, params.birth_sigma_m_s, params.birth_sigma_m
@@ -190,7 +192,9 @@ def kalman_tracker(
             existence=jnp.where(tracks.mask, jax.nn.sigmoid(score), 0.0),
         )
         started = of.start(look)
-        looked = Looked(updated, predicted, look, found.weight, counted, of.moments(started))
+        looked = Looked(
+            updated, predicted, look, found.weight, counted, of.moments(started), several
+        )
         lived = way.live(state.table, looked)
         table = way.tracks(lived.table)
         kept = _where(table.mask, learnt, jax.tree.map(jnp.zeros_like, learnt))
