@@ -27,7 +27,7 @@ from jaxtrack.tracking.prepared import (
 from jaxtrack.tracking.track_program import PAPERS_KALMAN, Told, program
 from jaxtrack.types import Array, BeamScan, Key, Scan, Stage, Tracks
 
-_NEAR = 3.0  # detections near a track of the votes in cells that confirm it: two fit any line
+_NEAR = 3.0  # detections near an estimate of the votes in cells; two fit any line
 
 TRACKERS = ("joint", *CELL_VOTES, PAPERS_KALMAN, *ASSOCIATORS)
 
@@ -66,8 +66,8 @@ def track(
     baseline; every other name is `kalman_tracker` with that associator. A track is confirmed by
     log(A/f) nats of evidence, or by log(n/f) of a Kalman tracker's score: with A the field's square
     metres, n the detections of a window and f `false_per_window`, clutter alone reaches that at
-    most f times a window on average. The votes in cells have no such score: two looks in which three
-    detections are near a track confirm it, and clutter's tracks are among them.
+    most f times a window on average. The votes in cells have no such score: two looks with an
+    estimate of three detections or more confirm a track, and clutter's tracks are among them.
 
     Args:
         scans: T looks stacked, as a `Recording` holds them, of positions or of a sonar's beams.
