@@ -84,7 +84,8 @@ def meeting_tracks(truth: Truth, paths_m: Mapping[str, Any], *, title: str = "")
         for target, axes in enumerate(row):
             axes.plot(*real[:, target].T, color=INK, ls=(0, (4, 2)), lw=0.9, label="truth")
             for k, (name, path) in enumerate(paths_m.items()):
-                _curve(axes, *np.asarray(path)[:, target].T, k, name)
+                x, y = np.asarray(path)[:, target].T
+                _curve(axes, x, y, k, name)
             axes.set_title(f"target {target + 1}", loc="left")
             axes.set_aspect("equal")
             axes.set_xlabel("x, m")

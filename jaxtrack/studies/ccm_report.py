@@ -98,7 +98,8 @@ def at_best(
         found.append(here.isel(cell=place).drop_vars("cell"))
         values = np.array(list(cells.values()))[place.values]
         least[name] = dict(zip(map(str, scores.associator.values), values.tolist(), strict=True))
-    return xr.concat(found, xr.IndexVariable("cell", list(assumed))), least
+    together: Any = xr.concat(found, xr.IndexVariable("cell", list(assumed)))
+    return together, least
 
 
 def claims(scores: xr.Dataset, cells: Sequence[str]) -> list[Claim]:
