@@ -184,7 +184,7 @@ STUDY = Study(
     "Sensors, 2019",
     trials_short=20,
     trials_full=1000,
-    seconds_short=40.0,
+    seconds_short=50.0,
     seconds_full=300.0,
     run=run,
 )
