@@ -106,7 +106,7 @@ def our_look(name, clutter_per_m2, mean, covariance, places):
     covariance = jax.vmap(gaussian.predicted_covariance, (0, None, None))(covariance, f, q)
     predicted = predict_measurement(mean, covariance, SIGMA**2 * jnp.eye(2))
     scan = Scan(dt, jnp.asarray(True), places, jnp.ones(DETECTIONS, bool))
-    associate, update = ASSOCIATORS[name]
+    associate, update, _ = ASSOCIATORS[name]
     found = associate(predicted, scan, AssociationParams(P_DETECT, clutter_per_m2, GATE))
     return update(mean, covariance, predicted, scan, found)
 

@@ -137,6 +137,7 @@ def test_estimate_prints_where_targets_were_are_and_go(run):
         (("track", EXAMPLE, "--speed-max-m-s", "9", "--out", EXAMPLE), "the file of detections"),
         (("track", EXAMPLE, "--speed-max-m-s", "9", "--figure", "a.txt"), "--figure: got a.txt"),
         (("track", EXAMPLE, "--speed-max-m-s", "9", "--seed", "-1"), "--seed: got -1"),
+        (("track", EXAMPLE, "--speed-max-m-s", "9", "--echoes", "0.5"), "echoes: got 0.5"),
         (("estimate", EXAMPLE, "--speed-max-m-s", "9", "--sigma-m", "0"), "sigma_m: got 0"),
         (("estimate", EXAMPLE, "--speed-max-m-s", "9", "--beams", "9"), "column"),
         (

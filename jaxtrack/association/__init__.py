@@ -21,11 +21,11 @@ from jaxtrack.association.gating import (
     Predicted,
     gate,
     gated_once,
-    likelihood_ratios,
     predict_measurement,
 )
 from jaxtrack.association.moments import update_centroid, update_mixture, update_single
 from jaxtrack.association.precedence import in_turn
+from jaxtrack.association.ratios import likelihood_ratios
 
 __all__ = [
     "ASSOCIATORS",

@@ -29,6 +29,7 @@ class Associator(NamedTuple):
 
     associate: Associate
     update: Update
+    several: bool = False  # a track may take several detections of a look
 
 
 _single = functools.partial(update_centroid, noise="single")
@@ -41,10 +42,10 @@ ASSOCIATORS: dict[str, Associator] = {
     "pda": Associator(pda.associate, update_mixture),
     "jpda": Associator(jpda.associate, update_mixture),
     "belief_propagation": Associator(belief_propagation.associate, update_mixture),
-    "cloud": Associator(cloud.sampled, _single),
-    "cloud_nearest": Associator(_nearest_centre, _single),
-    "cloud_averaged": Associator(cloud.averaged, _single),
-    "cloud_soft": Associator(cloud.soft, _single),
-    "pmht": Associator(pmht.associate, update_centroid),
+    "cloud": Associator(cloud.sampled, _single, several=True),
+    "cloud_nearest": Associator(_nearest_centre, _single, several=True),
+    "cloud_averaged": Associator(cloud.averaged, _single, several=True),
+    "cloud_soft": Associator(cloud.soft, _single, several=True),
+    "pmht": Associator(pmht.associate, update_centroid, several=True),
 }
 """All associators with their updates; the clouds with the paper's noise of a single echo."""

@@ -16,8 +16,8 @@ from jaxtrack.association.gating import (
     Association,
     AssociationParams,
     Predicted,
-    likelihood_ratios,
 )
+from jaxtrack.association.ratios import likelihood_ratios
 from jaxtrack.numerics.checks import check_array, check_size
 from jaxtrack.types import Array, Key, Scan
 

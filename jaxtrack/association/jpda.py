@@ -17,17 +17,14 @@ from jaxtrack.association.gating import (
     Association,
     AssociationParams,
     Predicted,
-    from_marginals,
-    likelihood_ratios,
 )
 from jaxtrack.association.pda import floored
+from jaxtrack.association.ratios import from_marginals, likelihood_ratios
 from jaxtrack.numerics.checks import check_array
 from jaxtrack.types import Array, Key, Scan
 
 MAX_TRACKS = 10
 """The programme holds 2^T numbers; for more tracks there is `belief_propagation`."""
-
-_LARGE = 1e15
 
 
 def marginals(likelihood_ratio: Array, miss: Array) -> Array:
@@ -62,16 +59,15 @@ def marginals(likelihood_ratio: Array, miss: Array) -> Array:
             f"likelihood_ratio: got {tracks} tracks, want at most {MAX_TRACKS}; "
             "belief_propagation.marginals takes more"
         )
-    # A row's scale is no matter, but the slope in a number beyond 1e15 may be none in float32.
-    weight = jnp.minimum(likelihood_ratio, jnp.finfo(jnp.result_type(likelihood_ratio, float)).max)
+    dtype = jnp.result_type(likelihood_ratio, float)
+    # Its reciprocal is still a number of full precision.
+    weight = jnp.minimum(likelihood_ratio, jnp.finfo(dtype).max / 1024)
     largest = jax.lax.stop_gradient(jnp.max(weight, axis=1, initial=0.0))
-    # In two steps: the reciprocal of the largest number there is would be none.
-    first = jnp.where(largest > _LARGE, 1 / _LARGE, 1.0)
-    scale = jnp.where(largest > _LARGE, largest * first, 1.0)
-    weight = weight * first[:, None] / scale[:, None]
-    missed = floored(miss * first / scale)
-    per_weight, per_miss = (checkpoint_name(x, "jpda") for x in _slopes(weight, missed))
-    return jnp.concatenate([weight * per_weight, (missed * per_miss)[:, None]], axis=1)
+    scale = jnp.where(largest > jnp.finfo(dtype).tiny, largest, 1.0)
+    weight = weight / scale[:, None]
+    log_miss = jnp.log(floored(miss)) - jnp.log(scale)
+    per_weight, missed = (checkpoint_name(x, "jpda") for x in _slopes(weight, log_miss))
+    return jnp.concatenate([weight * per_weight, missed[:, None]], axis=1)
 
 
 def associate(
@@ -101,18 +97,20 @@ def associate(
     return from_marginals(marginals(*likelihood_ratios(predicted, scan, params)))
 
 
-def _both(weight: Array, miss: Array) -> tuple[Array, Array]:
-    return jax.grad(_log_total, (0, 1))(weight, miss)
+def _both(weight: Array, log_miss: Array) -> tuple[Array, Array]:
+    return jax.grad(_log_total, (0, 1))(weight, log_miss)
 
 
 @jax.custom_vjp
-def _slopes(weight: Array, miss: Array) -> tuple[Array, Array]:
-    """Return ∂ log Z / ∂w and ∂ log Z / ∂w_0."""
-    return _both(weight, miss)
+def _slopes(weight: Array, log_miss: Array) -> tuple[Array, Array]:
+    """Return ∂ log Z / ∂w and ∂ log Z / ∂ log w_0, which is the probability of the miss."""
+    return _both(weight, log_miss)
 
 
-def _slopes_forward(weight: Array, miss: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    return _both(weight, miss), (weight, miss)
+def _slopes_forward(
+    weight: Array, log_miss: Array
+) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    return _both(weight, log_miss), (weight, log_miss)
 
 
 def _slopes_backward(at: tuple[Array, Array], along: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -124,11 +122,9 @@ def _slopes_backward(at: tuple[Array, Array], along: tuple[Array, Array]) -> tup
 _slopes.defvjp(_slopes_forward, _slopes_backward)
 
 
-def _log_total(weight: Array, miss: Array) -> Array:
-    """Return log Z."""
+def _log_total(weight: Array, log_miss: Array) -> Array:
+    """Return log Z of weights of at most 1; misses of any size stand in their logarithms."""
     tracks, dtype = weight.shape[0], weight.dtype
-    largest = jax.lax.stop_gradient(jnp.max(weight, axis=1, initial=0.0))
-    largest = jnp.where(largest > 0, largest, 1.0)
 
     def absorb(f: Array, ratio: Array) -> tuple[Array, None]:
         after = f
@@ -138,19 +134,20 @@ def _log_total(weight: Array, miss: Array) -> Array:
         return after, None
 
     nothing_yet = jnp.zeros((2,) * tracks, dtype).at[(0,) * tracks].set(1)
-    f, _ = jax.lax.scan(absorb, nothing_yet, (weight / largest[:, None]).T)
-    scale = _of_subsets(jnp.log(miss), jnp.log(largest))
-    peak = jax.lax.stop_gradient(jnp.where(f > 0, scale, -jnp.inf).max())
+    f, _ = jax.lax.scan(absorb, nothing_yet, weight.T)
+    others = _over_others(log_miss)
+    peak = jax.lax.stop_gradient(jnp.where(f > 0, others, -jnp.inf).max())
     # Where no event leads f is zero, but weights that are zero have a gradient: a bound far above
     # every event keeps it, and keeps it finite.
-    return peak + jnp.log((f * jnp.exp(jnp.where(scale < peak + 60, scale - peak, 60.0))).sum())
+    bound = jnp.where(others < peak + 60, others - peak, 60.0)
+    return peak + jnp.log((f * jnp.exp(bound)).sum())
 
 
-def _of_subsets(without: Array, taken: Array) -> Array:
-    """Return Σ_{j ∉ S} without_j + Σ_{j ∈ S} taken_j for all subsets, shape (2,) * T."""
-    tracks = without.shape[0]
-    total = jnp.zeros((2,) * tracks, without.dtype)
+def _over_others(log_miss: Array) -> Array:
+    """Return Σ_{j ∉ S} log w_0j for all subsets, shape (2,) * T."""
+    tracks = log_miss.shape[0]
+    total = jnp.zeros((2,) * tracks, log_miss.dtype)
     for j in range(tracks):
         shape = tuple(2 if axis == j else 1 for axis in range(tracks))
-        total = total + jnp.stack([without[j], taken[j]]).reshape(shape)
+        total = total + jnp.stack([log_miss[j], jnp.zeros_like(log_miss[j])]).reshape(shape)
     return total

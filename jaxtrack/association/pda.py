@@ -6,9 +6,8 @@ from jaxtrack.association.gating import (
     Association,
     AssociationParams,
     Predicted,
-    from_marginals,
-    likelihood_ratios,
 )
+from jaxtrack.association.ratios import from_marginals, likelihood_ratios
 from jaxtrack.types import Array, Key, Scan
 
 

@@ -10,9 +10,9 @@ from jaxtrack.association.gating import (
     Association,
     AssociationParams,
     Predicted,
-    detection_probability,
     gate,
 )
+from jaxtrack.association.ratios import detection_probability
 from jaxtrack.numerics.safe import safe_divide
 from jaxtrack.types import Key, Scan
 

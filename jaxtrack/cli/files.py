@@ -171,6 +171,9 @@ def track(
     speed_max_m_s: float,
     tracker: Literal[
         "joint",
+        "csht",
+        "sht",
+        "kalman_paper",
         "nearest",
         "greedy",
         "optimal",
@@ -189,6 +192,7 @@ def track(
     sigma_m: float = 3.0,
     sigma_a_m_s2: float = 0.05,
     p_detect: float = 0.7,
+    echoes: float = 1.0,
     false_per_window: float = 0.01,
     window: int = 20,
     bearing: Literal["clockwise_from_north", "math"] = "clockwise_from_north",
@@ -204,8 +208,10 @@ def track(
         file: CSV. One detection a row: time_s and x_m, y_m or range_m, bearing_deg (see initiate);
             with --beams: time_s, beam, range_m, heading_deg, x_m, y_m.
         speed_max_m_s: fastest target, m/s.
-        tracker: joint votes over the last looks; the others are Kalman filters with that
-            association.
+        tracker: joint votes over the last looks, and is the best; csht and sht are the votes in
+            cells of the clustering-statistic paper, and kalman_paper the weak Kalman tracker that
+            it compares them with; the others are Kalman filters with that association. Where a
+            target gives several detections a look: pmht or one of the clouds.
         out: where the tracks go, CSV: a row for each track and look.
         figure: a map of detections and tracks goes here (PNG, PDF or SVG).
         speed_min_m_s: slowest target, m/s; for joint.
@@ -213,14 +219,15 @@ def track(
             m.
         sigma_a_m_s2: acceleration of targets, each coordinate, m/s².
         p_detect: probability that a target is detected in a look.
-        false_per_window: mean number of false tracks in a window, at most.
-        window: looks that joint looks at, and those that false-per-window counts.
+        echoes: mean number of detections of a detected target, for pmht.
+        false_per_window: mean number of false tracks in a window, at most; not for csht and sht.
+        window: looks that the votes look at, and those that false-per-window counts.
         bearing: how bearings in the file are counted, degrees.
         beams: the file is that of a multi-beam sonar of so many beams.
         sector_deg: of all its beams together, degrees.
         range_max_m: its scope, m.
-        max_tracks: most tracks at a time, tentative ones included. None: 10 for joint and for jpda,
-            which takes no more, and 32 for the others.
+        max_tracks: most tracks at a time, tentative ones included. None: 10 for the votes and for
+            jpda, which takes no more, and 32 for the others.
         seed: of the associations that draw.
     """
     from rich.console import Console
@@ -247,6 +254,7 @@ def track(
             sigma_m=sigma_m,
             sigma_a_m_s2=sigma_a_m_s2,
             p_detect=p_detect,
+            echoes=echoes,
             false_per_window=false_per_window,
             window=window,
             max_tracks=max_tracks,

@@ -165,7 +165,7 @@ def print_lives(
     from rich.table import Table
 
     console.print(
-        f"{info.confirm_score:.2f} nats confirm a track; "
+        f"{info.confirm_score:.2f} {info.unit} confirm a track; "
         f"clutter {info.clutter_per_m2 * 1e6:.3g} a square kilometre and look",
         highlight=False,
         soft_wrap=True,

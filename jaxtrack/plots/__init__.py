@@ -4,7 +4,7 @@ from jaxtrack.plots.accumulations import accumulations
 from jaxtrack.plots.comparisons import means, run_times, scores
 from jaxtrack.plots.film import film
 from jaxtrack.plots.fitting import fit_history, loss_map
-from jaxtrack.plots.meetings import meetings
+from jaxtrack.plots.meetings import meeting_errors, meeting_tracks, meetings
 from jaxtrack.plots.motion_elements import (
     coordinate_over_time,
     error_curves,
@@ -37,6 +37,8 @@ __all__ = [
     "loss_map",
     "maps",
     "means",
+    "meeting_errors",
+    "meeting_tracks",
     "meetings",
     "pings_map",
     "points_and_votes",

@@ -85,8 +85,9 @@ def situations() -> dict[str, Situation]:
 def meeting_targets(key: Key, meeting: Meeting, *, looks: int = 24) -> Truth:
     """Return two targets at 1.25 m a step, from left to right, that meet at (19, 27) m in look 12.
 
-    The first comes from below and goes up, the second comes from above. Without noise both stand
-    at the meeting point, or half of the gap below and above it, in look 12.
+    The first comes from below and goes up, the second comes from above. In look 12 both stand at
+    the meeting point, or half of the gap below and above it, on the courses asked for: the
+    accelerations bend their ways to it and away from it, but do not make them miss each other.
 
     Args:
         key: of the accelerations.
@@ -109,18 +110,24 @@ def meeting_targets(key: Key, meeting: Meeting, *, looks: int = 24) -> Truth:
     velocity = SPEED_M_S * course
     gap = jnp.asarray(meeting.gap_m, dtype) / 2 * side
     meet = jnp.asarray(MEETING_M, dtype)[None] - jnp.stack([0 * gap, gap], axis=-1)
-    start = jnp.concatenate([meet - MEETING_LOOK * _UNIT_S * velocity, velocity], axis=-1)
+    steps = max(looks - 1, MEETING_LOOK)
     sigma = jnp.asarray(meeting.sigma_a_m_s2, dtype)
-    push = sigma * jax.random.normal(key, (looks - 1, 2, 2), dtype)
+    push = sigma * jax.random.normal(key, (steps, 2, 2), dtype)
 
-    def step(state: Array, push: Array) -> tuple[Array, Array]:
+    def step(bend: Array, push: Array) -> tuple[Array, Array]:
         kick = jnp.concatenate([push * _UNIT_S**2 / 2, push * _UNIT_S], axis=-1)
-        state = propagate(state, jnp.asarray(_UNIT_S, dtype)) + kick
-        return state, state
+        bend = propagate(bend, jnp.asarray(_UNIT_S, dtype)) + kick
+        return bend, bend
 
-    _, later = jax.lax.scan(step, start, push)
-    state = jnp.concatenate([start[None], later])
-    return Truth(_UNIT_S * jnp.arange(looks, dtype=dtype), state, jnp.ones((looks, 2), bool))
+    # The bends add to a straight way, and so does what takes them back where the targets meet.
+    straight = jnp.zeros((2, 4), dtype)
+    _, later = jax.lax.scan(step, straight, push)
+    bend = jnp.concatenate([straight[None], later])
+    time_s = _UNIT_S * (jnp.arange(steps + 1) - MEETING_LOOK).astype(dtype)
+    there = jnp.concatenate([meet, velocity], axis=-1)
+    state = jax.vmap(propagate, (None, 0))(there - bend[MEETING_LOOK], time_s) + bend
+    time_s = _UNIT_S * jnp.arange(looks).astype(dtype)
+    return Truth(time_s, state[:looks], jnp.ones((looks, 2), bool))
 
 
 def observe_echoes(

@@ -1,7 +1,13 @@
-"""The figures of the study `ccm`, in the manner of the paper's, under their numbers."""
+"""The figures of the study `ccm`: a run like each of the paper's, under their numbers, and more.
+
+Figures 8 to 11 are of targets side by side (A), 12 to 15 of targets that cross (B): maps, tracks
+target by target, and the errors of the first and of the second target in x and in y.
+"""
 
 import pathlib
 from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
 
 import jax
 import numpy as np
@@ -13,16 +19,13 @@ from jaxtrack.studies.ccm_looks import PRESET, Looks
 from jaxtrack.studies.ccm_trial import SHOWN
 from jaxtrack.types import Array, Pings, Pose, Scan
 
-PATHS = {
-    "A": "08_paths_A",
-    "A3": "09_paths_A3",
-    "B": "10_paths_B",
-    "D": "11_paths_D",
-    "A, pings": "08_pings_A",
-    "B, pings": "10_pings_B",
-}
+# Numbers of the paper's: maps, tracks by target, errors of either target.
+_APART, _CROSSING = (8, 9, 10, 11), (12, 13, 14, 15)
+_NUMBERED = {"A": _APART, "A, pings": _APART, "B": _CROSSING, "B, pings": _CROSSING}
+_OTHERS = ("A3", "D")  # situations that the paper does not have
+SHOWN_CELLS = (*_NUMBERED, *_OTHERS)
 _OVER_TIME = ("A3", "B", "D", "B, pings")
-_ON_SONAR = {"B, pings": "10_sonar_B"}
+_ON_SONAR = "B, pings"
 _PAPERS = ("nearest", "jpda", "cloud")
 _MARGIN_M, _AROUND_M = 4.0, 16.0
 
@@ -34,51 +37,91 @@ def draw(
     scores: xr.Dataset,
     progress: Callable[[int, int], None],
 ) -> None:
-    """Draw all figures into `out`: one run's paths a situation, pings, and errors over the looks.
+    """Draw all figures into `out`: a run like the paper's, a sonar's map, errors over the looks.
 
     Args:
         out: folder.
-        looks: of one run of each situation.
+        looks: of one run of each of `SHOWN_CELLS`.
         paths_m: [T, 2, 2] tracks in it by associator.
         scores: [cell, trial, associator].
         progress: (done, total).
     """
     from jaxtrack import plots
 
-    trials = scores.sizes["trial"]
-    total, done = len(PATHS) + len(_ON_SONAR) + 1, 0
-    for name, number in PATHS.items():
-        seen = looks[name]
-        title = f"Situation {name}, a run"
-        figure = plots.meetings(_near(seen), seen.truth, paths_m[name], title=title)
-        plots.save(figure, out / f"figure_{number}.png")
-        progress(done := done + 1, total)
-    for name, number in _ON_SONAR.items():
-        paths = {method: paths_m[name][method] for method in _PAPERS}
-        figure = plots.pings_map(
-            _loudest(looks[name]),
-            PRESET.sonar,
-            truth=jax.tree.map(lambda x: x[MEETING_LOOK : MEETING_LOOK + 1], looks[name].truth),
-            paths_m=paths,
-            around_m=_AROUND_M,
-            title=f"Situation {name}: all sweeps, the truth where they meet",
-            axes="x_y",
-        )
-        plots.save(figure, out / f"figure_{number}.png")
-        progress(done := done + 1, total)
+    figures = {**_of_runs(looks, paths_m), **_over_all(looks, paths_m, scores)}
+    for done, (name, build) in enumerate(figures.items()):
+        progress(done, len(figures))
+        plots.save(build(), out / f"figure_{name}.png")
+    progress(len(figures), len(figures))
+
+
+def _of_runs(
+    looks: Mapping[str, Looks], paths_m: Mapping[str, Mapping[str, np.ndarray]]
+) -> dict[str, Callable[[], Any]]:
+    """Return how to draw a run of each situation: maps of all, the rest of the paper's methods."""
+    from jaxtrack import plots
+
+    figures = {}
+    for name in SHOWN_CELLS:
+        place, title = name.replace(", ", "_"), f"Situation {name}, a run"
+        truth, every = looks[name].truth, paths_m[name]
+        draw = lambda plot, *args, title=title, **more: partial(plot, *args, title=title, **more)
+        maps = draw(plots.meetings, _near(looks[name]), truth, every)
+        if name not in _NUMBERED:
+            figures[f"maps_{place}"] = maps
+            continue
+        papers = {method: every[method] for method in _PAPERS}
+        first, second, *errors = _NUMBERED[name]
+        figures[f"{first:02d}_maps_{place}"] = maps
+        figures[f"{second:02d}_targets_{place}"] = draw(plots.meeting_tracks, truth, papers)
+        for target, number in enumerate(errors):
+            figures[f"{number}_errors_of_target_{target + 1}_{place}"] = draw(
+                plots.meeting_errors,
+                truth,
+                papers,
+                target=target,
+                title=f"{title}: target {target + 1}",
+            )
+    return figures
+
+
+def _over_all(
+    looks: Mapping[str, Looks],
+    paths_m: Mapping[str, Mapping[str, np.ndarray]],
+    scores: xr.Dataset,
+) -> dict[str, Callable[[], Any]]:
+    """Return how to draw what the paper does not: the sonar's map, and errors over all runs."""
+    from jaxtrack import plots
+
+    seen, at = looks[_ON_SONAR], slice(MEETING_LOOK, MEETING_LOOK + 1)
     panels = {}
     for name in _OVER_TIME:
-        here = scores.squared_by_look_m2.sel(cell=name)
-        at = np.arange(here.sizes["look"], dtype=float)
-        nothing = np.zeros_like(at)
-        panels[name] = {
-            method: (at, np.sqrt(here.sel(associator=method).values), nothing)
-            for method in (*SHOWN, "known")
-        }
-    title = f"Root mean square distance over {trials} runs"
-    figure = plots.error_curves(panels, x_label="look", y_label="distance, m", title=title)
-    plots.save(figure, out / "figure_12_errors_over_time.png")
-    progress(total, total)
+        here = scores.sel(cell=name)
+        look = np.arange(here.sizes["look"], dtype=float)
+        panels[name] = {}
+        for method in (*SHOWN, "known"):
+            one = here.sel(associator=method)
+            root = np.sqrt(one.squared_by_look_m2.values)
+            panels[name][method] = look, root, one.squared_by_look_se_m2.values / (2 * root)
+    return {
+        "sonar_map_B_pings": partial(
+            plots.pings_map,
+            _loudest(seen),
+            PRESET.sonar,
+            truth=jax.tree.map(lambda x: x[at], seen.truth),
+            paths_m={method: paths_m[_ON_SONAR][method] for method in _PAPERS},
+            around_m=_AROUND_M,
+            title=f"Situation {_ON_SONAR}: all sweeps, the truth where they meet",
+            axes="x_y",
+        ),
+        "errors_over_looks": partial(
+            plots.error_curves,
+            panels,
+            x_label="look",
+            y_label="root mean square distance, m",
+            title=f"Distance over {scores.sizes['trial']} runs",
+        ),
+    }
 
 
 def _near(looks: Looks) -> Scan:

@@ -39,6 +39,8 @@ from jaxtrack.tracking.lives import Lives, Looked, hard_lives
 from jaxtrack.tracking.sight import COUNTS, Detect, check_sight, everywhere, share_in_sight
 from jaxtrack.types import Array, Estimator, Key, Scan, Stage, Tracks
 
+_SURVIVAL = 0.99  # probability that a target is there in the next look too
+
 
 class KalmanTrackerParams(NamedTuple):
     """What the tracker knows of targets and sensor. Traced."""
@@ -86,8 +88,13 @@ def kalman_tracker(
 ) -> Estimator[Any, KalmanTrackerState, KalmanTrackerInfo]:
     """Return a tracker of many targets, as an estimator over `Scan`, or over the filter's looks.
 
-    Its state is [x, y, vx, vy], or the filter's. `existence` is the logistic function of
-    `log_score`, which adds up log(1 − P_D P_G + Σ_i w_i) over the looks that count.
+    Its state is [x, y, vx, vy], or the filter's. `log_score` adds up log L over the looks that
+    count, and `existence` is the probability that the track is still a target's,
+
+        L = 1 − P_D P_G + Σ_i w_i,    r ← s r L / (1 − s r + s r L),
+
+    from even odds at birth on (a detection of weight c: c to 1), with s = 0.99 the probability to
+    be there in the next look too: after many hits r falls within a few misses, the score does not.
 
     Args:
         params: of targets, sensor, births and lifecycle.
@@ -120,9 +127,14 @@ def kalman_tracker(
         >>> print(info.tracks.mean[-1, 0].round(1), info.tracks.stage[:, 0])
         [21. 43.  3. -1.] [1 1 2 2 2 2 2 2]
 
+    Source: of r, D. Mušicki, R. Evans and S. Stankovic, "Integrated probabilistic data
+        association", 1994.
+
     Note:
         A detection's delay is not looked at. One that a soft associator shares starts a track only
-        if less than half of it is claimed, and none that a confirmed track's gate holds.
+        if less than half of it is claimed, and none that a confirmed track's gate holds. Where the
+        associator lets a track take several, no track's gate holds one, and of those that may be
+        one target's one starts a track (`births.one_a_neighbourhood`).
     """
     check_size("max_tracks", max_tracks)
     check_size("confirm_looks", confirm_looks)
@@ -134,7 +146,7 @@ def kalman_tracker(
                 "belief_propagation takes more"
             )
         associator = ASSOCIATORS[associator]
-    associate, update = associator
+    associate, update, several = associator
     _check(params, confirm_looks)
 
     numbers = params.sigma_m, params.sigma_a_m_s2, params.birth_sigma_m_s, params.birth_sigma_m
@@ -187,10 +199,12 @@ def kalman_tracker(
             mean=mean,
             covariance=covariance,
             log_score=score,
-            existence=jnp.where(tracks.mask, jax.nn.sigmoid(score), 0.0),
+            existence=jnp.where(counted, _exists(tracks.existence, gain), tracks.existence),
         )
         started = of.start(look)
-        looked = Looked(updated, predicted, look, found.weight, counted, of.moments(started))
+        looked = Looked(
+            updated, predicted, look, found.weight, counted, of.moments(started), several
+        )
         lived = way.live(state.table, looked)
         table = way.tracks(lived.table)
         kept = _where(table.mask, learnt, jax.tree.map(jnp.zeros_like, learnt))
@@ -209,6 +223,12 @@ def kalman_tracker(
         return KalmanTrackerState(after, beliefs, key), info
 
     return Estimator(init, step)
+
+
+def _exists(before: Array, gain: Array) -> Array:
+    """Return the probability of existence after a look of log-likelihood ratio `gain`."""
+    still = _SURVIVAL * before
+    return jax.nn.sigmoid(safe_log(still) - jnp.log1p(-still) + gain)
 
 
 def _in(dtype: jnp.dtype, scan: TreeT) -> TreeT:

@@ -165,7 +165,8 @@ def admit(table: TrackTable, births: Births, params: LifecycleParams) -> Admissi
 
     The candidates of the highest scores are admitted, into the first free slots; in a full table
     nothing that is there gives way. Every track gets the next identity, which is never used again.
-    Being admitted counts as a hit: where one hit is enough, tracks start as confirmed.
+    Being admitted counts as a hit: where one hit is enough, tracks start as confirmed. The score is
+    the log odds of their existence.
 
     Args:
         table: before.
@@ -209,7 +210,7 @@ def admit(table: TrackTable, births: Births, params: LifecycleParams) -> Admissi
         mask=tracks.mask | taken,
         identity=fill(table.next_identity + rank, tracks.identity),
         stage=fill(stage, tracks.stage),
-        existence=fill(jnp.zeros_like(tracks.existence), tracks.existence),
+        existence=fill(jax.nn.sigmoid(births.log_score[source]), tracks.existence),
         log_score=fill(births.log_score[source], tracks.log_score),
     )
     first_hit = jnp.zeros_like(table.hit).at[:, -1].set(jnp.ones_like(table.hit[:, -1]))

@@ -7,6 +7,9 @@ The smooth way puts sigmoids for the thresholds,
     birth:  σ((½ − Σ_j w_ij)/w_c) Π_j (1 − c_j a_j σ((γ − d²_ij)/w_g))
 
 and `soft_lifecycle` for `lifecycle`.
+
+Where targets give several detections a look, a birth takes its neighbourhood, and no track's gate
+holds one, confirmed or not: else every echo of a new target would start a track of its own.
 """
 
 from collections.abc import Callable
@@ -18,6 +21,7 @@ import jax.numpy as jnp
 from jaxtrack.association import Predicted, gate, gated_once
 from jaxtrack.filtering.gaussian import Moments
 from jaxtrack.numerics.safe import safe_log
+from jaxtrack.tracking.births import one_a_neighbourhood
 from jaxtrack.tracking.lifecycle import (
     Births,
     LifecycleParams,
@@ -49,6 +53,7 @@ class Looked(NamedTuple):
     weight: Array  # [T, N] how far each detection is each track's
     counted: Array  # [T] the look could have held a detection of the track
     started: Moments  # [N, …] of a new track at each detection
+    several: bool = False  # detections near each other may be one target's
 
 
 class Lived(NamedTuple):
@@ -85,12 +90,13 @@ def hard_lives(limit: Array | float, lifecycle: LifecycleParams) -> Lives:
         return gated_once(predicted, look, jnp.asarray(limit, predicted.position_m.dtype))
 
     def live(table: TrackTable, looked: Looked) -> Lived:
-        tracks, predicted, look, weight, counted, started = looked
+        tracks, predicted, look, weight, counted, started, several = looked
         hit = weight.sum(1) >= _SEEN
         graded = grade(table._replace(tracks=tracks), hit, counted, look.valid, lifecycle)
-        confirmed = table.tracks.mask & (table.tracks.stage >= Stage.CONFIRMED)
-        held = gate(predicted, look).inside & (confirmed & counted)[:, None]
+        holding = table.tracks.mask & (several | (table.tracks.stage >= Stage.CONFIRMED))
+        held = gate(predicted, look).inside & (holding & counted)[:, None]
         free = _candidates(look) & ~held.any(0) & (weight.sum(0) < _SEEN)
+        free = _apart(looked, free, limit) if several else free
         births = Births(*started, free, _birth_score(look, free))
         admitted, full, source = admit(graded, births, lifecycle)
         return Lived(admitted, free, full, source)
@@ -145,17 +151,19 @@ def soft_lives(
             return predicted._replace(gated=found._replace(density_per_m2=density))
 
         def live(soft: SoftTable, looked: Looked) -> Lived:
-            tracks, predicted, look, weight, counted, started = looked
+            tracks, predicted, look, weight, counted, started, several = looked
             width = jnp.asarray(softness.share, weight.dtype)
             held = gate(predicted, look)
             share = jnp.where(held.inside, held.squared_distance, 0.0)
             share = jnp.where(held.inside, inside(share), 0.0)
-            taken = jnp.where(counted, soft.alive * soft.confirmed, 0.0)[:, None] * share
+            holding = soft.alive if several else soft.alive * soft.confirmed
+            taken = jnp.where(counted, holding, 0.0)[:, None] * share
             birth = jax.nn.sigmoid((_SEEN - weight.sum(0)) / width) * (1 - taken).prod(0)
             hit = jax.nn.sigmoid((weight.sum(1) - _SEEN) / width)
             before = soft._replace(table=soft.table._replace(tracks=tracks))
             graded = soft_grade(before, hit, counted, look.valid, lifecycle, softness)
             free = _candidates(look) & (birth >= 0.5)
+            free = _apart(looked, free, limit) if several else free
             births = Births(*started, free, _birth_score(look, free))
             admitted, admission = soft_admit(graded, births, birth, lifecycle)
             return Lived(admitted, free, admission.full, admission.source)
@@ -169,6 +177,13 @@ def _candidates(look: Scan) -> Array:
     """Return which detections may start a track, [N]: those that count."""
     counts = look.mask & look.valid
     return counts if look.weight is None else counts & (jnp.where(counts, look.weight, 0.0) > 0)
+
+
+def _apart(looked: Looked, free: Array, limit: Array | float) -> Array:
+    """Return which of the free detections start a track, one a neighbourhood, [N]."""
+    weight = looked.look.weight
+    weight = jnp.ones(free.shape, looked.look.position_m.dtype) if weight is None else weight
+    return one_a_neighbourhood(looked.started, weight, free, limit)
 
 
 def _birth_score(look: Scan, free: Array) -> Array:

@@ -9,13 +9,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxtrack.hough import clustering_statistic, joint
+from jaxtrack.hough import joint
+from jaxtrack.hough.clustering_params import ClusteringSizes
 from jaxtrack.hough.pairs import SpeedGate
-from jaxtrack.hough.slope_intercept import LineGrid, LineSizes
 from jaxtrack.models import BeamSonar
 from jaxtrack.models.motion import look_times, propagate
 from jaxtrack.models.observation import Observation
 from jaxtrack.numerics.checks import check_choice, check_size
+from jaxtrack.tracking.cells import CELL_VOTES, cells_of
 from jaxtrack.tracking.prepared import (
     MOST_TRACKS,
     Prepared,
@@ -25,14 +26,7 @@ from jaxtrack.tracking.prepared import (
 )
 from jaxtrack.types import Array, BeamScan, Scan, Stage, Tracks
 
-ESTIMATORS = ("joint", "csht", "sht")
-
-# The vote's own defaults, for windows of 9.5 s and a noise of 3 m, in units of window and noise.
-_CELL_SIGMAS = 2.2  # width of a cell of positions
-_FINER = 0.3  # of a cell: what one step of velocity moves a line over the whole window
-_USUAL_S = 9.5
-_MOST_CELLS = 256
-_MOST_VELOCITIES = 512  # of one sign; that many cells never ask for more
+ESTIMATORS = ("joint", *CELL_VOTES)
 
 
 class MotionElements(NamedTuple):
@@ -117,37 +111,9 @@ def motion_elements(
 def _by_cells(ready: Prepared, method: str, speed: SpeedGate, max_tracks: int) -> MotionElements:
     """Return what the vote in cells of velocity and initial position finds."""
     scans = ready.positions._replace(covariance_m2=None)
-    sigma_m = ready.sigma_m
-    counts = np.asarray(scans.mask) & np.asarray(scans.valid)[:, None]
-    places = np.asarray(scans.position_m, np.float64)[counts]
     times = np.asarray(scans.time_s, np.float64)[np.asarray(scans.valid)]
-    lasts_s, fastest = float(np.ptp(times)), float(speed.v_max_m_s)
-    if len(places) == 0 or lasts_s == 0.0:
-        places, lasts_s = np.zeros((1, 2)), max(lasts_s, 1.0)
-    reach_m = fastest * lasts_s
-    cell_m, notes = _CELL_SIGMAS * sigma_m, ()
-    low, high = places.min(0) - reach_m, places.max(0) + reach_m
-    cells = math.ceil(float((high - low).max()) / cell_m)
-    if cells > _MOST_CELLS:
-        cells, cell_m = _MOST_CELLS, float((high - low).max()) / _MOST_CELLS
-        notes = (f"the field is wide: cells are {cell_m:.0f} m instead of 2.2 sigma_m",)
-    step = _FINER * cell_m / lasts_s
-    half = min(math.ceil(fastest / step), _MOST_VELOCITIES)
-    step = fastest / half
-    grids = [LineGrid(-fastest, step, float(x), cell_m) for x in low]
-    usual, slower = clustering_statistic.ClusteringParams(), lasts_s / _USUAL_S
-    params = usual._replace(
-        x=grids[0],
-        y=grids[1],
-        velocity_scale_s=float(usual.velocity_scale_s) * slower,
-        cluster_time_s=float(usual.cluster_time_s) * slower,
-        sigma_m=sigma_m,
-    )
-    sizes = clustering_statistic.ClusteringSizes(
-        lines=LineSizes(velocities=2 * half + 1, positions=cells),
-        patterns=max_tracks,
-        start=min(max_tracks, 3),
-    )
+    fastest = float(speed.v_max_m_s)
+    params, sizes, notes = cells_of(ready, fastest, float(np.ptp(times)), tracks=max_tracks)
     params = jax.tree.map(lambda x: jnp.asarray(x, scans.position_m.dtype), params)
     tracks, info = _cells_program(method, sizes)(scans, params)
     mask, bare = np.asarray(tracks.mask), np.asarray(tracks.log_score) == 0
@@ -165,6 +131,5 @@ def _joint_program(sizes: joint.JointSizes, observation: Observation) -> Callabl
 
 
 @functools.lru_cache(maxsize=16)
-def _cells_program(method: str, sizes: clustering_statistic.ClusteringSizes) -> Callable[..., Any]:
-    csht, sht = clustering_statistic.estimate, clustering_statistic.threshold_estimate
-    return jax.jit(functools.partial(csht if method == "csht" else sht, sizes=sizes))
+def _cells_program(method: str, sizes: ClusteringSizes) -> Callable[..., Any]:
+    return jax.jit(functools.partial(CELL_VOTES[method], sizes=sizes))

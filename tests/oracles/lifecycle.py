@@ -12,6 +12,7 @@ class Track:
     history: list = dataclasses.field(default_factory=lambda: [True])
     misses: int = 0
     unseen: int = 0
+    existence: float = 0.5
 
     @property
     def stage(self):

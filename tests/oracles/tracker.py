@@ -35,7 +35,9 @@ def assign(name, tracks, detections, known):
 
 
 def run(scans, name, *, slots, last, lives, sigma, sigma_a, known, birth_speed=None, birth=None):
-    """Return after each look a list of slots: None, or (identity, mean, covariance, stage, score).
+    """Return after each look a list of slots: None, or what there is of the track.
+
+    That is (identity, mean, covariance, stage, score, existence).
 
     Args:
         scans: looks (time, valid, [(x, y) or None, ...]).
@@ -102,6 +104,8 @@ def run(scans, name, *, slots, last, lives, sigma, sigma_a, known, birth_speed=N
                 for i, b in weights.items():
                     claimed[i] += b
                 track.log_score += math.log(gain[slot])
+                odds = 0.99 * track.existence / (1 - 0.99 * track.existence) * gain[slot]
+                track.existence = odds / (1 + odds)
                 state = track.mean, covariance[slot], detections, weights, miss
                 track.mean, covariance[slot] = pairs.mixture(*state)
             book.grade(hit, [track is not None for track in book.slots])
@@ -126,6 +130,7 @@ def run(scans, name, *, slots, last, lives, sigma, sigma_a, known, birth_speed=N
                     np.array(covariance[slot]),
                     track.stage,
                     track.log_score,
+                    track.existence,
                 )
                 for slot, track in enumerate(book.slots)
             ]

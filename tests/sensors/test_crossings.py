@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxtrack.sensors import EchoSensor, Meeting, meeting_targets, observe_echoes, situations
-from jaxtrack.sensors.crossings import FIELD_M, MEETING_M
+from jaxtrack.sensors.crossings import FIELD_M, MEETING_LOOK, MEETING_M
 from tests.oracles import crossings as oracle
 
 RUNS, LOOKS = 400, 24
@@ -66,6 +66,18 @@ def test_places_are_in_random_order(seen):
     places = looks.origin.shape[-1]
     where = np.nonzero(np.asarray(looks.origin) == 0)[-1]
     assert_near(where, (places - 1) / 2)
+
+
+def test_targets_meet_where_and_when_they_are_said_to(seen):
+    truth, _ = seen
+    meet = np.asarray(truth.state)[:, MEETING_LOOK]
+    course = np.array([np.cos([0.25, 0.25]), np.sin([0.25, -0.25])]).T
+    want = np.concatenate([[MEETING_M] * 2, 1.25 * course], axis=1)
+    np.testing.assert_allclose(meet, np.broadcast_to(want, meet.shape), atol=1e-12)
+    apart = Meeting(0.0, 8.0)
+    short, whole = (meeting_targets(jax.random.key(1), apart, looks=looks) for looks in (5, 13))
+    np.testing.assert_allclose(whole.state[12, :, 1], [23.0, 31.0], atol=1e-12)
+    np.testing.assert_allclose(short.state, whole.state[:5], atol=1e-12)
 
 
 def test_accelerations_are_white(seen):

@@ -89,7 +89,7 @@ def test_tracks_equal_the_oracle(start, birth):
                 assert bool(got.mask[slot]) == (track is not None), (seed, k, slot)
                 if track is None:
                     continue
-                identity, mean, covariance, stage, score = track
+                identity, mean, covariance, stage, score, _ = track
                 confirmed += stage >= Stage.CONFIRMED
                 assert (got.identity[slot], got.stage[slot]) == (identity, stage)
                 np.testing.assert_allclose(got.mean[slot], mean, rtol=1e-9, atol=1e-9)

@@ -82,12 +82,13 @@ def test_tracks_equal_the_oracle(name):
                 assert bool(got.mask[slot]) == (track is not None), (seed, k, slot)
                 if track is None:
                     continue
-                identity, mean, covariance, stage, score = track
+                identity, mean, covariance, stage, score, existence = track
                 confirmed += stage >= Stage.CONFIRMED
                 assert (got.identity[slot], got.stage[slot]) == (identity, stage)
                 np.testing.assert_allclose(got.mean[slot], mean, rtol=1e-9, atol=1e-9)
                 np.testing.assert_allclose(got.covariance[slot], covariance, rtol=1e-9, atol=1e-9)
                 np.testing.assert_allclose(got.log_score[slot], score, rtol=1e-9, atol=1e-9)
+                np.testing.assert_allclose(got.existence[slot], existence, rtol=1e-9, atol=1e-9)
         assert confirmed > 5
 
 
@@ -177,6 +178,22 @@ def test_what_the_sensor_cannot_see_is_no_miss():
     )
     assert info.tracks.stage[-1].tolist() == [Stage.CONFIRMED, Stage.EMPTY]
     assert state.table.misses.tolist() == [0, 0]
+
+
+def test_existence_falls_with_misses_after_however_many_hits():
+    looks = np.arange(60)
+    for dtype in (float, np.float32):
+        params = KalmanTrackerParams(*map(dtype, PARAMS[:5]))
+        scans = still(60, seen=looks < 50, valid=looks != 20)
+        _, info = run("optimal", scans, params)
+        existence = np.asarray(info.tracks.existence)[:, 0]
+        assert existence[0] == 0.5
+        assert existence[10] > 0.999
+        assert existence[20] == existence[19]  # no look
+        assert (np.diff(existence[49:54]) < 0).all()
+        assert existence[53] < 0.1 < existence[50] < 0.95
+        assert existence[54] == 0.0  # gone, after five misses
+        assert ((existence >= 0) & (existence <= 1)).all()
 
 
 def test_a_full_table_says_so():

@@ -15,7 +15,7 @@ from jaxtrack.models import POSITION, BeamSonar
 from jaxtrack.sensors import motion_elements_scene, observe_beams
 from jaxtrack.tracking import ESTIMATORS, TRACKERS, motion_elements, track
 from jaxtrack.tracking.prepared import joint_sizes
-from jaxtrack.tracking.track import _program
+from jaxtrack.tracking.track_program import program
 from jaxtrack.tracking.window_sizes import _admissible, most_pairs
 from jaxtrack.types import Scan
 
@@ -56,6 +56,21 @@ def test_targets_in_clutter_are_followed_and_clutter_is_not(tracker):
     assert info.notes == ()
     # Neither waits for a window of ten looks.
     assert np.flatnonzero(np.asarray(tracks.mask).sum(1) == 2)[0] < 8
+
+
+@pytest.mark.parametrize("tracker", ["csht", "sht", "kalman_paper"])
+def test_the_papers_trackers_follow_a_lone_target(tracker):
+    """They are weak, as their papers have them: among others' tracks there is one of the target."""
+    scans = recording(3, clutter=1)
+    alone = scans._replace(mask=scans.mask & (np.arange(3) == 0))
+    tracks, info = track(alone, tracker=tracker, speed=SPEED, sigma_m=SIGMA_M, max_tracks=6)
+    mask = np.asarray(tracks.mask)
+    path = TRUTH[0, :2] + np.arange(float(LOOKS))[:, None] * TRUTH[0, 2:]
+    off = np.linalg.norm(np.asarray(tracks.mean)[..., :2] - path[:, None], axis=-1)
+    near = (mask & (off < 5 * SIGMA_M)).any(1)
+    assert near[-7:].mean() > 0.6  # the clusters share a lone target's detections
+    assert info.unit == ("nats" if tracker == "kalman_paper" else "detections")
+    assert (np.asarray(tracks.log_score)[mask] >= (0 if info.unit == "nats" else 1)).all()
 
 
 def test_motion_elements_are_those_of_the_targets():
@@ -100,13 +115,13 @@ def test_a_burst_in_the_last_looks_fits_too():
 
 
 def test_recordings_alike_share_one_program():
-    before = _program.cache_info().misses
+    before = program.cache_info().misses
     for seed in (5, 6):
         tracks, _ = track(recording(seed), tracker="greedy", speed=SPEED, sigma_m=4.0 + seed)
         assert tracks.mask.any()
-    program = _program("greedy", None, POSITION, 10, 32)
-    assert _program.cache_info().misses == before + 1
-    assert program._cache_size() == 1
+    run = program("greedy", None, POSITION, 10, 32)
+    assert program.cache_info().misses == before + 1
+    assert run._cache_size() == 1  # pyright: ignore[reportFunctionMemberAccess]
 
 
 def test_where_nothing_is_nothing_is_found():
@@ -145,6 +160,7 @@ def test_a_sonars_beams_are_followed_where_it_can_see(tracker):
         ({"p_detect": 1.0}, "p_detect: got 1"),
         ({"false_per_window": 0.0}, "false_per_window: got 0"),
         ({"window": 2}, "window: got 2"),
+        ({"echoes": 0.5}, "echoes: got 0.5"),
         ({"speed": SpeedGate(5.0, 5.0)}, "v_max_m_s: got 5"),
     ],
 )

@@ -48,11 +48,24 @@ HIGH = {
 SCORE = {"broken": 0.0, "swap": 0.0, "lost": 0.0}
 
 
+def wandering(key, meeting):
+    """Return targets whose accelerations bend their ways from the first look on.
+
+    Where they meet is not known to the ascent any better than to the tracker.
+    """
+    straight = meeting_targets(key, meeting._replace(sigma_a_m_s2=0.0))
+    push = meeting.sigma_a_m_s2 * jax.random.normal(key, (straight.time_s.shape[0] - 1, 2, 2))
+    gained = jnp.cumsum(push, axis=0)  # of velocity, after each look
+    moved = jnp.cumsum(gained - push / 2, axis=0)
+    bend = jnp.pad(jnp.concatenate([moved, gained], axis=-1), ((1, 0), (0, 0), (0, 0)))
+    return straight._replace(state=straight.state + bend)
+
+
 def simulate(scene, key):
     """Return truth and looks, in which fading targets weigh less, and a key for what is drawn."""
     path, look, rest = jax.random.split(key, 3)
     meeting = Meeting(scene["angle_rad"], scene["gap_m"])
-    truth = meeting_targets(path, meeting)
+    truth = wandering(path, meeting)
     seen = observe_echoes(look, truth, SENSOR, echoes=1, clutter=12)
     fades = Fade(scene["fade_middle_s"], scene["fade_length_s"], edge_s=0.5)
     return truth, fade(seen.scans, seen.origin, fades), rest
