@@ -12,7 +12,8 @@ import xarray as xr
 from rich.table import Table
 
 from jaxtrack.studies.moment_paper import TABLES
-from jaxtrack.studies.moment_trial import OPTIMISED, OURS
+from jaxtrack.studies.moment_trial import OPTIMISED, OURS, mean_gap_m
+from jaxtrack.studies.moment_trial import is_lost as _is_lost
 from jaxtrack.studies.tables import (
     Figure,
     Mark,
@@ -24,7 +25,6 @@ from jaxtrack.studies.tables import (
 )
 
 _DRAWS = 1000  # of the bootstrap
-_LAST, _FAR_M = 5, 3.0
 _HU, _ZERNIKE, _LOW = "hu", "zernike", "low_zernike"
 CLEAN, NEAR = "clean", "two_objects"
 MOTIONS = ("static", "hovering", "following")
@@ -180,14 +180,12 @@ def s_m(scores: xr.Dataset, cell: str, method: str, *, side: bool = False) -> np
     """Return S of every run, [trial]; `side`: from what faces the vehicle, not from the middle."""
     name = "side_error_m" if side else "error_m"
     error_m = scores[name].sel(cell=cell, tracker=method)
-    gap_m = (error_m**2).sum("axis") ** 0.5
-    return gap_m.where(scores.crossed.sel(cell=cell)).mean("look").values
+    return np.asarray(mean_gap_m(error_m.values, scores.crossed.sel(cell=cell).values))
 
 
 def is_lost(scores: xr.Dataset, cell: str, method: str) -> np.ndarray:
     """Return which runs are lost, [trial]."""
-    error_m = scores.error_m.sel(cell=cell, tracker=method).isel(look=slice(-_LAST, None))
-    return (((error_m**2).sum("axis") ** 0.5).mean("look") > _FAR_M).values
+    return np.asarray(_is_lost(scores.error_m.sel(cell=cell, tracker=method).values))
 
 
 def median(values: np.ndarray, unit: str = "") -> Figure:
