@@ -34,9 +34,9 @@ VARIANTS = {
 class Rates(NamedTuple):
     """One cell of the paper's tables."""
 
-    p_miss: Array | float
-    p_false: Array | float
-    sigma_m: Array | float
+    p_miss: float
+    p_false: float
+    sigma_m: float
 
 
 CELLS = tuple(Rates(m, f, 3.0) for m in RATES for f in RATES) + tuple(
@@ -67,8 +67,6 @@ def shipped_gate(variant: str, cell: Rates) -> Array:
         11.362
     """
     dtype = jnp.result_type(float)
-    away = [
-        jnp.asarray(have, dtype) - jnp.asarray(CELLS, dtype)[:, k] for k, have in enumerate(cell)
-    ]
-    nearest = sum(x**2 for x in away).argmin()
+    rates = jnp.stack([jnp.asarray(x, dtype) for x in cell])
+    nearest = ((rates[None] - jnp.asarray(CELLS, dtype)) ** 2).sum(1).argmin()
     return jnp.asarray(shipped_gates()[variant], dtype)[nearest]

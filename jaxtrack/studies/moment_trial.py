@@ -194,7 +194,7 @@ def s_m(run: Run, track: Track) -> Array:
 
 def lost(run: Run, track: Track) -> Array:
     """Return whether the last looks are far off."""
-    return is_lost(_error_m(run, track))
+    return astray(_error_m(run, track))
 
 
 def mean_gap_m(error_m: Array, crossed: Array) -> Array:
@@ -208,7 +208,7 @@ def mean_gap_m(error_m: Array, crossed: Array) -> Array:
     return safe_divide(gap_m.sum(-1), crossed.sum(-1).astype(gap_m.dtype))
 
 
-def is_lost(error_m: Array) -> Array:
+def astray(error_m: Array) -> Array:
     """Return whether runs are lost, [...]; `error_m` is [..., T, 2]."""
     return safe_norm(error_m[..., -LAST:, :]).mean(-1) > FAR_M
 
