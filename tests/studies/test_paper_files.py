@@ -1,5 +1,6 @@
 """The papers' studies as files: they fit their functions, and say what their studies say."""
 
+import pathlib
 import re
 
 import jax
@@ -76,8 +77,10 @@ def equal(found, wanted):
         np.testing.assert_allclose(found[name], value, rtol=1e-7, err_msg=name)
 
 
-def test_every_study_is_tried():
+def test_every_study_is_tried_and_told_of():
     assert set(TINY) == set(shipped_studies())
+    told = (pathlib.Path(__file__).parents[2] / "docs" / "studies.md").read_text()
+    assert set(re.findall(r"^\| `(\w+)` \|", told, re.M)) == set(TINY)
     with pytest.raises(ValueError, match="there are: ccm, "):
         shipped_study("nothing")
 
