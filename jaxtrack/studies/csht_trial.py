@@ -155,7 +155,7 @@ def window(
         sigma_m: of a range.
 
     Example:
-        >>> window(jax.random.key(0)).scans.range_m.shape
+        >>> jax.eval_shape(lambda key: window(key).scans, jax.random.key(0)).range_m.shape
         (20, 90)
     """
     rates = Rates(p_miss, p_false, sigma_m)

@@ -154,9 +154,9 @@ def crossing(key: Key, *, clutter_expected: int, sigma_m: Any, clutter_per_scan:
         clutter_per_scan: what there is.
 
     Example:
-        >>> seen = crossing(jax.random.key(0), clutter_expected=10, sigma_m=0, clutter_per_scan=0)
-        >>> print(seen.scans.mask.sum(axis=1))
-        [3 3 3 3 3 3 3]
+        >>> ideal = {"clutter_expected": 10, "sigma_m": 0.0, "clutter_per_scan": 0.0}
+        >>> jax.eval_shape(lambda key: crossing(key, **ideal).scans, jax.random.key(0)).mask.shape
+        (7, 32)
     """
     inputs = simulated_inputs("IV", clutter_per_scan, clutter_expected)
     inputs = inputs._replace(radar=inputs.radar._replace(sigma_m=sigma_m))

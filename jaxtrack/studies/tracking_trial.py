@@ -115,7 +115,8 @@ def table_7(
         false_alarms: per_beam or per_scan, static.
 
     Example:
-        >>> table_7(jax.random.key(0), p_miss=0.3, p_false=0.3, sigma_m=3.0).scans.range_m.shape
+        >>> looks = lambda key: table_7(key, p_miss=0.3, p_false=0.3, sigma_m=3.0).scans
+        >>> jax.eval_shape(looks, jax.random.key(0)).range_m.shape
         (199, 90)
     """
     return look(key, inputs_of(Rates(p_miss, p_false, sigma_m)), false_alarms)
