@@ -52,9 +52,8 @@ def study(
         if action == "resume":
             design, folder = open_study(target), target
         else:
-            shipped = shipped_study(target.name)
-            known = not target.exists() and target.parent == pathlib.Path() and shipped.exists()
-            design = read_design(shipped if known else target)
+            is_name = target.name == str(target) and not target.suffix and not target.exists()
+            design = read_design(shipped_study(target.name) if is_name else target)
             folder = pathlib.Path("results") / target.stem if out is None else out
         with _interrupts() as stopped, _progress_line() as report:
             outcome = run_study(design, folder, on_progress=report, stopped=stopped)

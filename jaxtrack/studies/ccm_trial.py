@@ -1,10 +1,12 @@
 """One trial of the study `ccm`: two targets meet, and every associator tracks the same looks.
 
 Situation, source of the looks and what is known of it are traced: every cell of every table is the
-same compiled program.
+same compiled program. Files of studies name the parts: the scene `meeting`, the method `associate`,
+and the metrics.
 """
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,8 +21,18 @@ from jaxtrack.association import (
 from jaxtrack.filtering import gaussian
 from jaxtrack.metrics import nees, swap_and_loss
 from jaxtrack.models import propagate, transition_matrix, white_noise_acceleration
-from jaxtrack.sensors import Situation
-from jaxtrack.studies.ccm_looks import LOOKS, Contents, Known, Looks, contents, looks_of, seen_at
+from jaxtrack.sensors import EchoSensor, Meeting, Situation
+from jaxtrack.studies.ccm_looks import (
+    LOOKS,
+    SOURCES,
+    Contents,
+    Known,
+    Looks,
+    contents,
+    known_of,
+    looks_of,
+    seen_at,
+)
 from jaxtrack.types import Array, Key, Scan
 
 SIGMA_A_M = 0.1  # of the filter, m a look²; the targets' own is less
@@ -38,6 +50,22 @@ class Inputs(NamedTuple):
     source: Array | int  # [] place in `ccm_looks.SOURCES`
     known: Known
     least_clutter_per_m2: Array | float  # β₀: what associators assume where there is less
+
+
+class Seen(NamedTuple):
+    """What one trial simulates."""
+
+    inputs: Inputs
+    looks: Looks
+    start: Key  # of the tracks' first states
+    draws: Key  # of associators that draw
+
+
+class Paths(NamedTuple):
+    """Two tracks of one associator."""
+
+    mean: Array  # [T, 2, 4]
+    covariance: Array  # [T, 2, 4, 4]
 
 
 class Scores(NamedTuple):
@@ -58,14 +86,6 @@ class Outcome(NamedTuple):
     overflow: Array  # [] a look had more than its places hold
 
 
-class Run(NamedTuple):
-    """One run with all that happened in it."""
-
-    looks: Looks
-    mean: dict[str, Array]  # [T, 2, 4] by associator
-    covariance: dict[str, Array]  # [T, 2, 4, 4]
-
-
 class _Tracks(NamedTuple):
     """Two tracks of an associator."""
 
@@ -76,19 +96,74 @@ class _Tracks(NamedTuple):
 
 def trial(key: Key, inputs: Inputs) -> Outcome:
     """Return the scores of all associators in one run."""
-    looks, mean, covariance = simulate(key, inputs)
-    state = looks.truth.state
+    seen = begin(key, inputs)
+    paths = associate_all(seen)
+    scores = {name: score(seen, paths[name]) for name in METHODS}
+    paths_m = {name: paths[name].mean[..., :2] for name in SHOWN}
+    return Outcome(scores, paths_m, contents(seen.looks), seen.looks.overflow)
+
+
+def begin(key: Key, inputs: Inputs) -> Seen:
+    """Return the looks of one run, and the keys of the tracks."""
+    _, _, start, draws = jax.random.split(key, 4)
+    return Seen(inputs, look(key, inputs), start, draws)
+
+
+def meeting(
+    key: Key,
+    *,
+    angle_deg: Any,
+    gap_m: Any,
+    sigma_a_m_s2: Any,
+    clutter_per_m2: Any,
+    echoes: Any,
+    least_clutter_per_m2: Any,
+    source: str = SOURCES[0],
+) -> Seen:
+    """Return looks at two targets that meet.
+
+    Args:
+        key: random key.
+        angle_deg: between their courses; 0: side by side.
+        gap_m: between them where they meet.
+        sigma_a_m_s2: acceleration.
+        clutter_per_m2: drawn; a sonar has its own.
+        echoes: of a detected target, drawn.
+        least_clutter_per_m2: β₀: what associators assume where there is less.
+        source: one of `ccm_looks.SOURCES`, static.
+    """
+    sensor = EchoSensor(clutter_per_m2=clutter_per_m2, echoes=echoes)
+    situation = Situation(Meeting(angle_deg * (math.pi / 180), gap_m, sigma_a_m_s2), sensor)
+    known = known_of(source, sensor)
+    inputs = Inputs(situation, SOURCES.index(source), known, least_clutter_per_m2)
+    return begin(key, jax.tree.map(jnp.asarray, inputs))
+
+
+def associate(seen: Seen, *, rule: str) -> Paths:
+    """Return the tracks of one of `METHODS`; static."""
+    return associate_all(seen, (rule,))[rule]
+
+
+def swapped_or_lost(seen: Seen, paths: Paths) -> Array:
+    """Return whether the tracks are exchanged, or one is lost."""
+    found = score(seen, paths)
+    return found.swap | found.loss
+
+
+def squared_m2(seen: Seen, paths: Paths) -> Array:
+    """Return the mean squared distance over looks and tracks."""
+    return score(seen, paths).squared_m2.mean()
+
+
+def score(seen: Seen, paths: Paths) -> Scores:
+    """Return how one associator fared."""
+    mean, covariance = paths
+    state = seen.looks.truth.state
+    verdict = swap_and_loss(mean[..., :2], state[..., :2])
+    apart = (mean - state)[..., :2]
     each = jax.vmap(jax.vmap(lambda *x: nees(*x).squared))
-
-    def score(name: str) -> Scores:
-        verdict = swap_and_loss(mean[name][..., :2], state[..., :2])
-        apart = (mean[name] - state)[..., :2]
-        agreed = each(mean[name], covariance[name], state).mean()
-        return Scores(verdict.swap, verdict.loss, (apart**2).sum(-1).mean(-1), agreed)
-
-    scores = {name: score(name) for name in METHODS}
-    paths_m = {name: mean[name][..., :2] for name in SHOWN}
-    return Outcome(scores, paths_m, contents(looks), looks.overflow)
+    agreed = each(mean, covariance, state).mean()
+    return Scores(verdict.swap, verdict.loss, (apart**2).sum(-1).mean(-1), agreed)
 
 
 def look(key: Key, inputs: Inputs) -> Looks:
@@ -97,23 +172,22 @@ def look(key: Key, inputs: Inputs) -> Looks:
     return looks_of(path, seen, inputs.situation, jnp.asarray(inputs.source))
 
 
-def simulate(key: Key, inputs: Inputs) -> Run:
-    """Return one run: looks, and the tracks of all associators, known in the first look.
+def associate_all(seen: Seen, names: tuple[str, ...] = METHODS) -> dict[str, Paths]:
+    """Return the tracks of associators, known in the first look.
 
     Each track moves to when the sensor comes to see the place where the middle of the look has it.
     """
-    _, _, start, draws = jax.random.split(key, 4)
-    known, looks = inputs.known, look(key, inputs)
-    begin = looks.truth.state[0]
-    dtype = begin.dtype
+    known, looks = seen.inputs.known, seen.looks
+    initial = looks.truth.state[0]
+    dtype = initial.dtype
     variance = jnp.asarray(START_VARIANCE, dtype)
-    noise = jnp.sqrt(variance)[None] * jax.random.normal(start, (2, 4), dtype)
+    noise = jnp.sqrt(variance)[None] * jax.random.normal(seen.start, (2, 4), dtype)
     turning = looks.middle, looks.turn_per_rad, looks.pose
-    at_first = seen_at(begin[:, :2], *jax.tree.map(lambda x: x[0], turning))
-    one = _Tracks(begin + noise, jnp.broadcast_to(jnp.diag(variance), (2, 4, 4)), at_first)
+    at_first = seen_at(initial[:, :2], *jax.tree.map(lambda x: x[0], turning))
+    one = _Tracks(initial + noise, jnp.broadcast_to(jnp.diag(variance), (2, 4, 4)), at_first)
     r = jnp.diag(jnp.asarray(known.spread_m, dtype) ** 2)
     clutter = jnp.asarray(known.clutter_per_m2, dtype)
-    least = jnp.asarray(inputs.least_clutter_per_m2, dtype)
+    least = jnp.asarray(seen.inputs.least_clutter_per_m2, dtype)
     params = AssociationParams(
         known.p_detect, jnp.where(clutter > least, clutter, least), GATE, known.echoes
     )
@@ -124,37 +198,36 @@ def simulate(key: Key, inputs: Inputs) -> Run:
         added = white_noise_acceleration(dt, SIGMA_A_M)
         return gaussian.predict(mean, covariance, transition_matrix(dt), added)
 
-    def associated(name: str, mean: Array, covariance: Array, seen: Scan, origin: Array, key: Key):
+    def associated(name: str, mean: Array, covariance: Array, scan: Scan, origin: Array, key: Key):
         predicted = predict_measurement(mean, covariance, r)
         if name == KNOWN:
             own = (origin[None, :] == jnp.arange(2, dtype=jnp.int32)[:, None]).astype(dtype)
             weights = Association(own, 1 - own.max(-1), jnp.asarray(True))
-            return update_centroid(mean, covariance, predicted, seen, weights)
+            return update_centroid(mean, covariance, predicted, scan, weights)
         here, method = params, ASSOCIATORS["jpda" if name == MORE_CLUTTER else name]
         if name == MORE_CLUTTER:
             # A target's other echoes are clutter to a rule of one detection a target.
             here = params._replace(clutter_per_m2=params.clutter_per_m2 + others)
-        found = method.associate(predicted, seen, here, key)
-        return method.update(mean, covariance, predicted, seen, found)
+        found = method.associate(predicted, scan, here, key)
+        return method.update(mean, covariance, predicted, scan, found)
 
     def step(tracks: dict[str, _Tracks], at: tuple[Scan, Array, Key, tuple]):
-        seen, origin, key, turning = at
+        scan, origin, key, turning = at
         # All moved at once: a program of its own for each takes long to compile.
-        before = [tracks[name] for name in METHODS]  # a dict comes back in another order
+        before = [tracks[name] for name in names]  # a dict comes back in another order
         every = _Tracks(*(jnp.stack(x) for x in zip(*before, strict=True)))
         middle = propagate(every.mean, turning[0] - every.time)
         time = seen_at(middle[..., :2], *turning)
         moved = jax.vmap(jax.vmap(move))(every.mean, every.covariance, time - every.time)
         after = {}
         for place, (name, (mean, covariance)) in enumerate(
-            zip(METHODS, zip(*moved, strict=True), strict=True)
+            zip(names, zip(*moved, strict=True), strict=True)
         ):
-            found = associated(name, mean, covariance, seen, origin, key)
+            found = associated(name, mean, covariance, scan, origin, key)
             after[name] = _Tracks(*found, time[place])
         return after, after
 
-    keys = jax.random.split(draws, LOOKS)
+    keys = jax.random.split(seen.draws, LOOKS)
     each = looks.scans, looks.origin, keys, turning
-    _, found = jax.lax.scan(step, dict.fromkeys(METHODS, one), each)
-    mean, covariance = ({name: found[name][k] for name in METHODS} for k in (0, 1))
-    return Run(looks, mean, covariance)
+    _, found = jax.lax.scan(step, dict.fromkeys(names, one), each)
+    return {name: Paths(*found[name][:2]) for name in names}

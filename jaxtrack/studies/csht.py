@@ -7,10 +7,8 @@ those with clutter in missed beams too, or one a scan. All settings were fixed i
 """
 
 import functools
-import importlib.resources
-import json
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +25,15 @@ from jaxtrack.sensors import (
     random_sonar_scene,
 )
 from jaxtrack.studies import csht_figures, csht_report, parts, store
-from jaxtrack.studies.csht_paper import RATES, SIGMAS_M
+from jaxtrack.studies.csht_cells import (
+    CELLS,
+    LEAST_GATE,
+    VARIANTS,
+    Rates,
+    shipped_gates,
+    sonar_of,
+)
+from jaxtrack.studies.csht_paper import SIGMAS_M
 from jaxtrack.studies.csht_trial import (
     CUTOFF,
     KNOWN,
@@ -45,39 +51,9 @@ from jaxtrack.types import Key
 
 FALSE_PER_RUN = 0.02  # tracks of the joint vote in a window without targets
 SCENES, SHIPPED_SCENES = 500, 200  # windows without targets that a gate comes from
-# Nats. Where clutter alone gives next to nothing false, what targets leave behind does; chosen on
-# windows of other seeds than the study's.
-LEAST_GATE = 9.0
 DERIVE_FROM = 500  # trials; shorter runs take the gates that are shipped
 _GATES, _TABLE_2, _GENERATED = range(3)  # streams of random keys
 MOST_TARGETS = 5  # of generated scenes
-
-
-class Variant(NamedTuple):
-    """A model of false alarms."""
-
-    false_alarms: str  # a beam or a scan
-    clutter_in_missed_beam: float
-
-
-VARIANTS = {
-    "literal": Variant("per_beam", 0.0),
-    "clutter in missed beams": Variant("per_beam", 1.0),
-    "one a scan": Variant("per_scan", 0.0),
-}
-
-
-class Rates(NamedTuple):
-    """One cell of the paper's tables."""
-
-    p_miss: float
-    p_false: float
-    sigma_m: float
-
-
-CELLS = tuple(Rates(m, f, 3.0) for m in RATES for f in RATES) + tuple(
-    Rates(0.3, 0.3, sigma_m) for sigma_m in SIGMAS_M if sigma_m != 3.0
-)
 
 
 def run(context: Context) -> None:
@@ -144,7 +120,7 @@ def derive_gates(context: Context, scenes: int = SCENES) -> dict[str, list[float
         gates[name] = []
         for done, cell in enumerate(CELLS, start=1):
             # With the least gate: what is weaker takes nothing from the others there either.
-            empty = SonarScene(nobody, scene.pose, _sonar(name, cell))
+            empty = SonarScene(nobody, scene.pose, sonar_of(name, cell))
             inputs = Inputs(empty, jnp.asarray(LEAST_GATE))
             find = search(variant.false_alarms)
             what = f"gates, {name}, {csht_report.cell_name(*cell)}"
@@ -156,15 +132,9 @@ def derive_gates(context: Context, scenes: int = SCENES) -> dict[str, list[float
     return gates
 
 
-def shipped_gates() -> dict[str, list[float]]:
-    """Return what `derive_gates` gave with seed 1, from `SHIPPED_SCENES` windows a cell."""
-    file = importlib.resources.files("jaxtrack.studies") / "csht_gates.json"
-    return json.loads(file.read_text(encoding="utf-8"))
-
-
 def _votes(context: Context, variant: str) -> tuple[float, float]:
     """Return mean votes of the true lines' cells, and of the strongest cell away from them."""
-    scene = motion_elements_scene()._replace(sonar=_sonar(variant, Rates(0.3, 0.3, 3.0)))
+    scene = motion_elements_scene()._replace(sonar=sonar_of(variant, Rates(0.3, 0.3, 3.0)))
     count = vote_counts(VARIANTS[variant].false_alarms)
     own, other = monte_carlo(count, context.key(_TABLE_2), 64, scene, micro_batch=1).mean
     return float(own), float(other)
@@ -191,7 +161,7 @@ def _part(
     what = f"generated, {variant}" if scene is None else variant
     outcomes = []
     for place, (cell, gate) in enumerate(zip(CELLS, gates, strict=True)):
-        sonar, limit = _sonar(variant, cell), jnp.asarray(gate)
+        sonar, limit = sonar_of(variant, cell), jnp.asarray(gate)
         one: Callable[..., Outcome] = generated_trial
         inputs: Any = (sonar, limit)
         if scene is not None:
@@ -214,13 +184,6 @@ def generated_trial(key: Key, inputs: tuple[BeamSonar, Any]) -> Outcome:
     )
     outcome = trial("per_beam")(look, Inputs(scene._replace(sonar=sonar), gate))
     return outcome._replace(within=within)
-
-
-def _sonar(variant: str, cell: Rates) -> BeamSonar:
-    number = lambda x: jnp.asarray(x)
-    clutter = number(VARIANTS[variant].clutter_in_missed_beam)
-    sonar = motion_elements_scene().sonar._replace(clutter_in_missed_beam=clutter)
-    return sonar._replace(**{name: number(x) for name, x in cell._asdict().items()})
 
 
 def _dataset(outcomes: Sequence[Outcome]) -> xr.Dataset:

@@ -1,7 +1,8 @@
 """One trial of the study `csht_estimation`: a window is simulated once, and all see the same looks.
 
 The scene, the sonar's rates and the gate are traced: every cell of every table is the same compiled
-program. Only the false-alarm model is static.
+program. Only the false-alarm model is static. Files of studies name the parts: the scene `window`,
+the methods `sht`, `csht`, `joint_vote`, `floor` and `least_squares`, and the metrics.
 """
 
 import functools
@@ -21,8 +22,14 @@ from jaxtrack.metrics import (
     ospa,
 )
 from jaxtrack.models import BEAMS, BeamSensor, BeamSonar
-from jaxtrack.sensors import SonarScene, observe_beams, observe_known_beams
-from jaxtrack.types import Array, BeamScan, Key, Tracks
+from jaxtrack.sensors import (
+    SonarScene,
+    motion_elements_scene,
+    observe_beams,
+    observe_known_beams,
+)
+from jaxtrack.studies.csht_cells import VARIANTS, Rates, shipped_gate, sonar_of
+from jaxtrack.types import Array, BeamScan, Key, Scan, Tracks
 
 BEAM_COUNT = 90
 CUTOFF = 20.0  # metres, and metres a second
@@ -44,6 +51,24 @@ class Inputs(NamedTuple):
 
     scene: SonarScene
     gate: Array | float  # of the joint vote
+
+
+class Window(NamedTuple):
+    """What one trial simulates."""
+
+    inputs: Inputs
+    scans: BeamScan
+    positions: Scan  # the same, as the paper's votes take them
+    origin: Array  # [T, B] the target of a detection, −1 of clutter
+    draw: Key  # of the floor
+    false_alarms: str  # known to Python
+
+
+class Estimates(NamedTuple):
+    """What metrics take; of `Tracks` they read these too."""
+
+    mean: Array  # [M, 4]
+    mask: Array  # [M]
 
 
 class Errors(NamedTuple):
@@ -70,48 +95,120 @@ def trial(false_alarms: str) -> Callable[[Key, Inputs], Outcome]:
     """Return the function of one trial, the same object for the same model of false alarms."""
 
     def run(key: Key, inputs: Inputs) -> Outcome:
-        look, draw = jax.random.split(key)
-        scene = inputs.scene
-        scans, origin = observe_known_beams(
-            look, *scene, beams=BEAM_COUNT, false_alarms=false_alarms
-        )
-        tracks, info = _joint(scans, scene.sonar, inputs.gate, false_alarms)
-        positions, _ = pack_beams(scans, scene.sonar, POSITIONS[false_alarms])
-        paper = clustering_statistic.ClusteringParams()
-        sht, _ = clustering_statistic.threshold_estimate(positions, paper)
-        csht, _ = clustering_statistic.estimate(positions, paper)
-
+        seen = look(key, inputs, false_alarms)
+        scene, gate = inputs
+        tracks, info = _joint(seen.scans, scene.sonar, gate, false_alarms)
         truth, there = scene.truth.state[-1], scene.truth.mask[-1]
-        known = [_known(scans, origin, target) for target in range(there.shape[0])]
-        known = jax.tree.map(lambda *x: jnp.stack(x), *known)
-        squares = jax.vmap(
-            lambda seen, start: known_least_squares(seen, scene.sonar, start, beams=BEAM_COUNT)
-        )(known, truth)
-        means = jax.vmap(
-            lambda key, seen, start: known_posterior_mean(
-                key, seen, scene.sonar, SPEED, start, beams=BEAM_COUNT
-            )
-        )(jax.random.split(draw, there.shape[0]), known, truth)
+        means = _posterior_means(seen)
         estimates = {
-            "SHT": (sht.mean, sht.mask),
-            "CSHT": (csht.mean, csht.mask),
-            "joint": (tracks.mean, tracks.mask),
-            "floor": (means.state, there),
-            "least squares": (squares.state, there),
+            "SHT": sht(seen),
+            "CSHT": csht(seen),
+            "joint": tracks,
+            "floor": Estimates(means.state, there),
+            "least squares": least_squares(seen),
         }
-        errors = {name: _errors(*found, truth, there) for name, found in estimates.items()}
+        errors = {
+            name: Errors(velocity_ospa_m_s(seen, x), position_ospa_m(seen, x), x.mask.sum())
+            for name, x in estimates.items()
+        }
         sensor = assumed(scene.sonar, false_alarms)
         samples = _SIZES[false_alarms].samples
         score = jax.vmap(
-            lambda x: joint.evidence(x, scans, sensor, SPEED, samples=samples, observation=BEAMS)[2]
+            lambda x: joint.evidence(
+                x, seen.scans, sensor, SPEED, samples=samples, observation=BEAMS
+            )[2]
         )(truth)
-        passes = all_pass_at_truth(score, there, inputs.gate)
+        passes = all_pass_at_truth(score, there, gate)
         effective = jnp.where(there, means.effective_samples, jnp.inf).min()
         return Outcome(
             errors, there.sum(), passes, info.overflow, effective, within=jnp.asarray(True)
         )
 
     return run
+
+
+def look(key: Key, inputs: Inputs, false_alarms: str) -> Window:
+    """Return the looks of one trial."""
+    seen, draw = jax.random.split(key)
+    scans, origin = observe_known_beams(
+        seen, *inputs.scene, beams=BEAM_COUNT, false_alarms=false_alarms
+    )
+    positions, _ = pack_beams(scans, inputs.scene.sonar, POSITIONS[false_alarms])
+    return Window(inputs, scans, positions, origin, draw, false_alarms)
+
+
+def window(
+    key: Key,
+    *,
+    false_alarms: str = "literal",
+    p_miss: Any = 0.3,
+    p_false: Any = 0.3,
+    sigma_m: Any = 3.0,
+) -> Window:
+    """Return looks at the paper's three targets, and the joint vote's gate for such.
+
+    Args:
+        key: random key.
+        false_alarms: one of `csht_cells.VARIANTS`, static.
+        p_miss: of a look at a target.
+        p_false: of a beam, or of a look.
+        sigma_m: of a range.
+
+    Example:
+        >>> jax.eval_shape(lambda key: window(key).scans, jax.random.key(0)).range_m.shape
+        (20, 90)
+    """
+    rates = Rates(p_miss, p_false, sigma_m)
+    scene = motion_elements_scene()._replace(sonar=sonar_of(false_alarms, rates))
+    inputs = Inputs(scene, shipped_gate(false_alarms, rates))
+    return look(key, inputs, VARIANTS[false_alarms].false_alarms)
+
+
+def sht(seen: Window) -> Tracks:
+    """Return what the standard vote finds, cells over a threshold being targets."""
+    paper = clustering_statistic.ClusteringParams()
+    return clustering_statistic.threshold_estimate(seen.positions, paper)[0]
+
+
+def csht(seen: Window) -> Tracks:
+    """Return what the paper's transform finds."""
+    paper = clustering_statistic.ClusteringParams()
+    return clustering_statistic.estimate(seen.positions, paper)[0]
+
+
+def joint_vote(seen: Window) -> Tracks:
+    """Return what the joint vote finds, at the window's gate."""
+    scene, gate = seen.inputs
+    return _joint(seen.scans, scene.sonar, gate, seen.false_alarms)[0]
+
+
+def floor(seen: Window) -> Estimates:
+    """Return posterior means of those that are told which detection is whose."""
+    return Estimates(_posterior_means(seen).state, seen.inputs.scene.truth.mask[-1])
+
+
+def least_squares(seen: Window) -> Estimates:
+    """Return least squares of the detections that are a target's."""
+    scene = seen.inputs.scene
+    squares = jax.vmap(
+        lambda known, start: known_least_squares(known, scene.sonar, start, beams=BEAM_COUNT)
+    )(_known(seen), scene.truth.state[-1])
+    return Estimates(squares.state, scene.truth.mask[-1])
+
+
+def velocity_ospa_m_s(seen: Window, found: Estimates | Tracks) -> Array:
+    """Return the OSPA distance of velocities at the window's end."""
+    return _ospa(seen, found, slice(2, 4))
+
+
+def position_ospa_m(seen: Window, found: Estimates | Tracks) -> Array:
+    """Return the OSPA distance of positions at the window's end."""
+    return _ospa(seen, found, slice(0, 2))
+
+
+def number_right(seen: Window, found: Estimates | Tracks) -> Array:
+    """Return whether there are as many estimates as targets."""
+    return found.mask.sum() == seen.inputs.scene.truth.mask[-1].sum()
 
 
 @functools.cache
@@ -165,16 +262,38 @@ def _joint(
     return joint.estimate(scans, params, sizes=_SIZES[false_alarms], observation=BEAMS)
 
 
-def _known(scans: BeamScan, origin: Array, target: int) -> KnownDetections:
-    own = origin == target
-    beam = jnp.argmax(own, axis=1).astype(jnp.int32)
-    range_m = jnp.take_along_axis(scans.range_m, beam[:, None], axis=1)[:, 0]
+def _posterior_means(seen: Window) -> Any:
+    scene = seen.inputs.scene
+    start = scene.truth.state[-1]
+    return jax.vmap(
+        lambda key, known, start: known_posterior_mean(
+            key, known, scene.sonar, SPEED, start, beams=BEAM_COUNT
+        )
+    )(jax.random.split(seen.draw, start.shape[0]), _known(seen), start)
+
+
+def _known(seen: Window) -> KnownDetections:
+    """Return every target's own detections, leaves [K, ...]."""
+    scans = seen.scans
     elapsed_s = scans.time_s - scans.time_s[-1]
-    return KnownDetections(elapsed_s, scans.pose, range_m, beam, own.any(axis=1))
+
+    def known(target: Array) -> KnownDetections:
+        own = seen.origin == target
+        beam = jnp.argmax(own, axis=1).astype(jnp.int32)
+        range_m = jnp.take_along_axis(scans.range_m, beam[:, None], axis=1)[:, 0]
+        return KnownDetections(elapsed_s, scans.pose, range_m, beam, own.any(axis=1))
+
+    targets = seen.inputs.scene.truth.mask.shape[1]
+    return jax.vmap(known)(jnp.arange(targets, dtype=jnp.int32))
 
 
-def _errors(state: Array, mask: Array, truth: Array, there: Array) -> Errors:
-    distance: Callable[..., Any] = lambda of: (
-        ospa(state[:, of], mask, truth[:, of], there, cutoff=CUTOFF, order=ORDER).distance
-    )
-    return Errors(distance(slice(2, 4)), distance(slice(0, 2)), mask.sum())
+def _ospa(seen: Window, found: Estimates | Tracks, of: slice) -> Array:
+    truth = seen.inputs.scene.truth
+    return ospa(
+        found.mean[:, of],
+        found.mask,
+        truth.state[-1, :, of],
+        truth.mask[-1],
+        cutoff=CUTOFF,
+        order=ORDER,
+    ).distance

@@ -10,7 +10,9 @@ from importlib import resources
 from typing import Any
 
 from jaxtrack.studies import builtin
+from jaxtrack.studies.study_file import StudyError
 
+_SHIPPED = pathlib.Path(str(resources.files("jaxtrack.studies") / "files"))
 _BUILT_IN = {"scene": builtin.SCENES, "method": builtin.METHODS, "metric": builtin.METRICS}
 
 
@@ -49,11 +51,27 @@ def find_function(kind: str, name: str, folder: pathlib.Path) -> Callable[..., A
 def shipped_study(name: str) -> pathlib.Path:
     """Return the file of a study that comes with the package.
 
+    Raises:
+        StudyError: there is none of that name.
+
     Example:
         >>> shipped_study("crossing").is_file()
         True
     """
-    return pathlib.Path(str(resources.files("jaxtrack.studies") / "files" / f"{name}.toml"))
+    if name not in shipped_studies():
+        names = ", ".join(shipped_studies())
+        raise StudyError(f"{name}: no such file, and no study of that name; there are: {names}")
+    return _SHIPPED / f"{name}.toml"
+
+
+def shipped_studies() -> tuple[str, ...]:
+    """Return the names of the studies that come with the package.
+
+    Example:
+        >>> "crossing" in shipped_studies()
+        True
+    """
+    return tuple(sorted(file.stem for file in _SHIPPED.glob("*.toml")))
 
 
 def _module(name: str) -> Any:

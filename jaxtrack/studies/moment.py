@@ -26,7 +26,7 @@ from jaxtrack.studies.moment_trial import (
     Outcome,
     Seen,
     Track,
-    look,
+    begin,
     track_all,
     trial,
 )
@@ -141,8 +141,8 @@ def dataset(outcomes: Mapping[str, Outcome]) -> xr.Dataset:
 
 
 def _shown(key: Key, inputs: Inputs) -> tuple[Seen, dict[str, Track]]:
-    seen = look(jax.random.fold_in(key, 0), inputs)
-    return seen, track_all(jax.random.fold_in(key, 1), seen, ("hu", "zernike"))
+    shown = begin(key, inputs)
+    return shown.seen, track_all(shown, ("hu", "zernike"))
 
 
 def _inputs(cell: Cell) -> Inputs:

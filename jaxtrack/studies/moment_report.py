@@ -7,12 +7,13 @@ bucket that echoes are .29 m short of its middle: S beside it counts from there,
 
 import functools
 
+import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from rich.table import Table
 
 from jaxtrack.studies.moment_paper import TABLES
-from jaxtrack.studies.moment_trial import OPTIMISED, OURS
+from jaxtrack.studies.moment_trial import OPTIMISED, OURS, astray, mean_gap_m
 from jaxtrack.studies.tables import (
     Figure,
     Mark,
@@ -24,7 +25,6 @@ from jaxtrack.studies.tables import (
 )
 
 _DRAWS = 1000  # of the bootstrap
-_LAST, _FAR_M = 5, 3.0
 _HU, _ZERNIKE, _LOW = "hu", "zernike", "low_zernike"
 CLEAN, NEAR = "clean", "two_objects"
 MOTIONS = ("static", "hovering", "following")
@@ -179,15 +179,13 @@ def marks(scores: xr.Dataset, sweeps: xr.Dataset | None = None) -> list[Row]:
 def s_m(scores: xr.Dataset, cell: str, method: str, *, side: bool = False) -> np.ndarray:
     """Return S of every run, [trial]; `side`: from what faces the vehicle, not from the middle."""
     name = "side_error_m" if side else "error_m"
-    error_m = scores[name].sel(cell=cell, tracker=method)
-    gap_m = (error_m**2).sum("axis") ** 0.5
-    return gap_m.where(scores.crossed.sel(cell=cell)).mean("look").values
+    error_m = jnp.asarray(scores[name].sel(cell=cell, tracker=method).values)
+    return np.asarray(mean_gap_m(error_m, jnp.asarray(scores.crossed.sel(cell=cell).values)))
 
 
 def is_lost(scores: xr.Dataset, cell: str, method: str) -> np.ndarray:
     """Return which runs are lost, [trial]."""
-    error_m = scores.error_m.sel(cell=cell, tracker=method).isel(look=slice(-_LAST, None))
-    return (((error_m**2).sum("axis") ** 0.5).mean("look") > _FAR_M).values
+    return np.asarray(astray(jnp.asarray(scores.error_m.sel(cell=cell, tracker=method).values)))
 
 
 def median(values: np.ndarray, unit: str = "") -> Figure:

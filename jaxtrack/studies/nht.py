@@ -10,26 +10,17 @@ import functools
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import xarray as xr
 
-from jaxtrack.hough import Grid, Peaks
-from jaxtrack.models import PositionSensor
 from jaxtrack.montecarlo import monte_carlo
-from jaxtrack.sensors import Scene, crossing_targets, radar_measurements
 from jaxtrack.studies import nht_figures, nht_marks, nht_report, nht_scores, nht_times, parts, store
+from jaxtrack.studies.nht_scenes import Inputs, real_inputs, simulated_inputs
 from jaxtrack.studies.nht_scores import Cell, Gates, derive_gates
-from jaxtrack.studies.nht_trial import Inputs, Outcome, Shape, shapes_for, trial
+from jaxtrack.studies.nht_trial import Outcome, Shape, shapes_for, trial
 from jaxtrack.studies.registry import Context, Study
 from jaxtrack.studies.tables import entry, marks_table
 from jaxtrack.types import Key
 
-# What the joint vote assumes of the real data: the 21 dots miss their constant-velocity fits by
-# 56 m in each coordinate (the tracks bend), which covers the 10 m of added noise.
-REAL_SIGMA_M = 60.0
-REAL_GRID = Grid(origin_m=(-12500.0, 21000.0), rho_max_m=17000.0)
-P_DETECT, SIGMA_M = 0.99, 10.0  # assumed everywhere else, also where there is no noise
-WIDE, REAL_WIDE = (77.0, 0.075), (150.0, 0.03)  # ε of "NHT wide"
 MATCH_M, REAL_MATCH_M = (50.0, 100.0), (150.0, 300.0)
 # Situation → the clutter that methods expect and gates are made for: a detector does not know that
 # there is none. 56 a scan is the paper's 10 a square kilometre, and primary.
@@ -40,34 +31,6 @@ REAL = {"real": 0.0, "real + 10 m": 10.0}  # noise added
 # fewer trials leaves them out.
 MORE_CLUTTER, MORE_FROM = (0.0, 28.0, 112.0), 500
 _GATES, _TRIALS, _TIMES = range(3)  # streams of random keys
-
-
-def simulated_inputs(
-    situation: str, clutter: float, expected: float, joint_gate: float = 0.0
-) -> Inputs:
-    """Return what a situation of the paper is run with, by methods that expect so much clutter."""
-    scene = crossing_targets(situation, clutter)
-    return _inputs(scene, expected, Grid(), SIGMA_M, WIDE, joint_gate)
-
-
-def real_inputs(sigma_m: float, joint_gate: float = 0.0) -> Inputs:
-    """Return what the real data are run with, noise of `sigma_m` and 10 clutter a scan added."""
-    scene = radar_measurements(sigma_m, 10.0)
-    return _inputs(scene, 10.0, REAL_GRID, REAL_SIGMA_M, REAL_WIDE, joint_gate)
-
-
-def _inputs(
-    scene: Scene,
-    expected: float,
-    grid: Grid,
-    sigma_m: float,
-    wide: tuple[float, float],
-    joint_gate: float,
-) -> Inputs:
-    low, high = np.asarray(scene.radar.field_low_m), np.asarray(scene.radar.field_high_m)
-    density = max(expected, 1.0) / float((high - low).prod())  # a likelihood needs some clutter
-    sensor = PositionSensor(P_DETECT, density, sigma_m)
-    return Inputs(scene.truth, scene.radar, grid, Peaks(), sensor, joint_gate, *wide)
 
 
 def run(context: Context) -> None:

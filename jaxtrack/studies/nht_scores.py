@@ -9,9 +9,8 @@ import numpy as np
 import xarray as xr
 
 from jaxtrack.hough import gate_for_false_rate
-from jaxtrack.metrics import initiation_scores
 from jaxtrack.montecarlo import mean_and_error
-from jaxtrack.studies.nht_trial import METHODS, PEAKS, Inputs, Outcome, Shape
+from jaxtrack.studies.nht_trial import METHODS, PEAKS, Inputs, Outcome, Shape, scores
 from jaxtrack.studies.tables import root_mean_square
 from jaxtrack.types import Array, Key, Lines, Truth
 
@@ -92,15 +91,14 @@ def dataset(cells: Sequence[Cell], match_m: Sequence[float]) -> xr.Dataset:
 
 
 def _summary(lines: Lines, truth: Truth, match_m: float, gate: float) -> dict[str, Any]:
-    path = jnp.swapaxes(truth.state[..., :2], 0, 1)
-    score = _score(lines, path, truth.mask.all(0), match_m, gate)
+    score = _score(lines, truth, match_m, gate)
     score = jax.tree.map(lambda x: np.asarray(x, np.float64), score)
     trials = len(score.found)
     summary: dict[str, Any] = {
         "trials": trials,
         "top_k": score.top_k.sum(),
         "perfect": score.perfect.sum(),
-        "found_all": (score.found == path.shape[0]).sum(),
+        "found_all": (score.found == truth.mask.shape[1]).sum(),
         "discrimination": np.median(score.discrimination),
         "gate": gate,
     }
@@ -116,9 +114,8 @@ def _summary(lines: Lines, truth: Truth, match_m: float, gate: float) -> dict[st
 
 
 @jax.jit
-def _score(lines: Lines, path: Array, present: Array, match_m: Array, gate: Array) -> Any:
-    one = lambda lines: initiation_scores(lines, path, present, match_m=match_m, gate=gate)
-    return jax.vmap(one)(lines)
+def _score(lines: Lines, truth: Truth, match_m: Array, gate: Array) -> Any:
+    return jax.vmap(lambda lines: scores(lines, truth, match_m, gate))(lines)
 
 
 def gates_dataset(gates: Mapping[str, Gates], scenes: int) -> xr.Dataset:

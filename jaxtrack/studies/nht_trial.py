@@ -1,7 +1,8 @@
 """One trial of the study `nht`: a scene is simulated once, and every method sees the same scans.
 
 All methods of one shape form one compiled program; noise, clutter, truth, grid and tolerances are
-traced, so situations, scenes without targets and added noise need no other.
+traced, so situations, scenes without targets and added noise need no other. Files of studies name
+the parts: the scenes `crossing` and `recorded`, the method `initiate`, and the metrics.
 """
 
 import functools
@@ -11,9 +12,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxtrack.hough import Grid, Peaks, Sizes, improved, joint, modified, neutrosophic, standard
-from jaxtrack.models import PositionSensor
-from jaxtrack.sensors import Radar, observe
+from jaxtrack.hough import Sizes, improved, joint, modified, neutrosophic, standard
+from jaxtrack.metrics import InitiationScores, initiation_scores
+from jaxtrack.sensors import observe
+from jaxtrack.studies.nht_scenes import Inputs, real_inputs, simulated_inputs
 from jaxtrack.studies.nht_words import target_votes
 from jaxtrack.studies.tables import SMOKE_BELOW
 from jaxtrack.types import Array, Key, Lines, Scan, Truth
@@ -77,17 +79,19 @@ def shapes_for(trials: int) -> dict[str, Shape]:
     return dict.fromkeys(SHAPES, SHAPES["56"]._replace(rho=SHAPES["real"].rho))
 
 
-class Inputs(NamedTuple):
-    """What one program is run with. Traced."""
+class Seen(NamedTuple):
+    """What one trial simulates."""
 
-    truth: Truth
-    radar: Radar
-    grid: Grid
-    peaks: Peaks
-    sensor: PositionSensor  # what the joint vote assumes
-    joint_gate: Array | float
-    wide_m: Array | float  # ε_ρ of "NHT wide"
-    wide_rad: Array | float  # its ε_θ
+    inputs: Inputs
+    scans: Scan
+    shape: Shape  # known to Python
+
+
+class Found(NamedTuple):
+    """What a method says in a study from a file."""
+
+    lines: Lines  # [LINES]
+    gate: Array | float  # fewest votes of a line that counts
 
 
 class Outcome(NamedTuple):
@@ -105,7 +109,7 @@ def trial(shape: Shape) -> Callable[[Key, Inputs], Outcome]:
     """Return the function of one trial, the same object for the same shape."""
 
     def run(key: Key, inputs: Inputs) -> Outcome:
-        scans = observe(key, inputs.truth, inputs.radar, detections=shape.detections)
+        scans = look(key, inputs, shape).scans
         lines, overflow = {}, {}
         for method, form in forms_of(shape):
             if method not in TOLERANT:
@@ -130,6 +134,81 @@ def trial(shape: Shape) -> Callable[[Key, Inputs], Outcome]:
         return Outcome(scans, lines, overflow, *words)
 
     return run
+
+
+def look(key: Key, inputs: Inputs, shape: Shape) -> Seen:
+    """Return the looks of one trial."""
+    scans = observe(key, inputs.truth, inputs.radar, detections=shape.detections)
+    return Seen(inputs, scans, shape)
+
+
+def crossing(key: Key, *, clutter_expected: int, sigma_m: Any, clutter_per_scan: Any) -> Seen:
+    """Return looks at the paper's three crossing targets.
+
+    Its situations: I has neither noise nor clutter, II noise, III clutter, IV both.
+
+    Args:
+        key: random key.
+        clutter_expected: what methods and their tables are made for, 10 or 56 a look; static.
+        sigma_m: noise.
+        clutter_per_scan: what there is.
+
+    Example:
+        >>> ideal = {"clutter_expected": 10, "sigma_m": 0.0, "clutter_per_scan": 0.0}
+        >>> jax.eval_shape(lambda key: crossing(key, **ideal).scans, jax.random.key(0)).mask.shape
+        (7, 32)
+    """
+    inputs = simulated_inputs("IV", clutter_per_scan, clutter_expected)
+    inputs = inputs._replace(radar=inputs.radar._replace(sigma_m=sigma_m))
+    return look(key, inputs, SHAPES[str(clutter_expected)])
+
+
+def recorded(key: Key, *, sigma_m: Any) -> Seen:
+    """Return the paper's real radar data, with noise and 10 clutter a look added."""
+    return look(key, real_inputs(sigma_m), SHAPES["real"])
+
+
+def initiate(seen: Seen, *, transform: str, gate: Any, peaks: str = PEAKS[0]) -> Found:
+    """Return the lines of one of `METHODS`.
+
+    Args:
+        seen: looks.
+        transform: its name, static.
+        gate: fewest votes of a line that counts; of the joint vote nats.
+        peaks: raw or smoothed, static.
+    """
+    inputs = seen.inputs._replace(joint_gate=gate)
+    return Found(detect(transform, inputs, seen.shape, peaks)(seen.scans)[0], gate)
+
+
+def top_3(seen: Seen, found: Found, *, match_m: Any) -> Array:
+    """Return whether the three strongest lines match the three targets, whatever the gate."""
+    return _scores(seen, found, match_m).top_k
+
+
+def perfect(seen: Seen, found: Found, *, match_m: Any) -> Array:
+    """Return whether all targets are found, nothing false and nothing twice."""
+    return _scores(seen, found, match_m).perfect
+
+
+def targets_found(seen: Seen, found: Found, *, match_m: Any) -> Array:
+    """Return how many targets have a line."""
+    return _scores(seen, found, match_m).found
+
+
+def false_lines(seen: Seen, found: Found, *, match_m: Any) -> Array:
+    """Return how many lines match no target."""
+    return _scores(seen, found, match_m).false
+
+
+def scores(lines: Lines, truth: Truth, match_m: Any, gate: Any) -> InitiationScores:
+    """Return the scores of one trial's lines."""
+    path = jnp.swapaxes(truth.state[..., :2], 0, 1)
+    return initiation_scores(lines, path, truth.mask.all(0), match_m=match_m, gate=gate)
+
+
+def _scores(seen: Seen, found: Found, match_m: Any) -> InitiationScores:
+    return scores(found.lines, seen.inputs.truth, match_m, found.gate)
 
 
 def forms_of(shape: Shape) -> list[tuple[str, str]]:

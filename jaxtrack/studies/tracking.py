@@ -12,29 +12,26 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
 from jaxtrack.models import BeamSonar
-from jaxtrack.sensors import observe_beams, tracking_scene
+from jaxtrack.sensors import observe_beams
 from jaxtrack.studies import parts, store, tracking_figures, tracking_report
-from jaxtrack.studies.csht import CELLS, Rates
+from jaxtrack.studies.csht_cells import CELLS, Rates
 from jaxtrack.studies.csht_report import cell_name
 from jaxtrack.studies.csht_trial import BEAM_COUNT
 from jaxtrack.studies.registry import Context, Study
 from jaxtrack.studies.tables import SMOKE_BELOW, entry, failed_table
+from jaxtrack.studies.tracking_trackers import FLOOR, TO_THE_LETTER, TRACKERS, track
 from jaxtrack.studies.tracking_trial import (
-    FLOOR,
-    TO_THE_LETTER,
-    TRACKERS,
     TRUTHS,
     Inputs,
     Outcome,
     Scores,
     generated_trial,
+    inputs_of,
     scores_of,
-    track,
     trial,
 )
 from jaxtrack.types import Key
@@ -66,7 +63,7 @@ def run(context: Context) -> None:
         for done, cell in enumerate(cells, start=1):
             what = f"{name}, {cell_name(*cell)}"
             fn = trial(false_alarms)
-            outcomes.append(parts.run_part(context, what, fn, key, context.trials, _inputs(cell)))
+            outcomes.append(parts.run_part(context, what, fn, key, context.trials, inputs_of(cell)))
             context.progress(name, done, len(cells))
         tables[name] = dataset(outcomes, cells)
         for table in tracking_report.tables(tables[name], name):
@@ -84,7 +81,7 @@ def run(context: Context) -> None:
             generated_trial,
             context.key(_GENERATED),
             context.trials,
-            _inputs(one).scene.sonar,
+            inputs_of(one).scene.sonar,
             report,
         )
         generated = dataset([outcome], (one,))
@@ -147,7 +144,7 @@ def dataset(outcomes: Sequence[Outcome], cells: Sequence[Rates]) -> xr.Dataset:
 
 def seconds_a_look(context: Context) -> dict[str, float]:
     """Return how long each tracker takes a look, compiled, at P_M = P_F = 0.5 as in the paper."""
-    scene, _ = _inputs(Rates(0.5, 0.5, 3.0))
+    scene, _ = inputs_of(Rates(0.5, 0.5, 3.0))
     looks = jax.jit(lambda key: observe_beams(key, *scene, beams=BEAM_COUNT))(context.key(_TIMED))
     found = {}
     for place, name in enumerate(TRACKERS, start=1):
@@ -172,13 +169,13 @@ def _to_the_letter(context: Context) -> np.ndarray:
         found, _ = track(TO_THE_LETTER, scans, inputs.scene.sonar, "per_beam", 6)
         return scores_of(found, inputs.visible).distance.mean()
 
-    cell = _inputs(Rates(0.3, 0.3, 3.0))
+    cell = inputs_of(Rates(0.3, 0.3, 3.0))
     key = context.key(_TABLE_7, 0)
     return parts.run_part(context, TO_THE_LETTER, run, key, context.trials, cell)
 
 
 def _shown(key: Key, cell: Rates) -> Shown:
-    scene, visible = _inputs(cell)
+    scene, visible = inputs_of(cell)
 
     @jax.jit
     def run(key: Key) -> Any:
@@ -193,13 +190,6 @@ def _shown(key: Key, cell: Rates) -> Shown:
             for name in TRACKERS
         },
     )
-
-
-def _inputs(cell: Rates) -> Inputs:
-    scene, visible = tracking_scene("table"), tracking_scene("visible").truth
-    rates = {name: jnp.asarray(x) for name, x in cell._asdict().items()}
-    scene = scene._replace(sonar=scene.sonar._replace(**rates))
-    return jax.tree.map(jnp.asarray, Inputs(scene, visible))
 
 
 STUDY = Study(

@@ -11,7 +11,7 @@ import xarray as xr
 from jaxtrack.studies import tracking_paper
 from jaxtrack.studies.csht_paper import RATES, SIGMAS_M
 from jaxtrack.studies.tracking_report import MEASURES
-from jaxtrack.studies.tracking_trial import FLOOR, TRACKERS
+from jaxtrack.studies.tracking_trackers import FLOOR, TRACKERS
 
 _NUMBERS = {"cardinality": (23, 26), "localization": (24, 27), "distance": (25, 28)}
 

@@ -21,7 +21,7 @@ from jaxtrack.studies.tables import (
     rate,
     standard_error,
 )
-from jaxtrack.studies.tracking_trial import FLOOR, TRACKERS
+from jaxtrack.studies.tracking_trackers import FLOOR, TRACKERS
 
 MEASURES = {
     "cardinality": "cardinality error",

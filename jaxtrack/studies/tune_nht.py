@@ -10,7 +10,7 @@ import xarray as xr
 
 from jaxtrack.numerics import positive
 from jaxtrack.studies import tuned, tuned_report
-from jaxtrack.studies.nht import WIDE
+from jaxtrack.studies.nht_scenes import WIDE
 from jaxtrack.studies.registry import Context, Study
 from jaxtrack.studies.tables import Figure, Mark, Row, mean_of
 from jaxtrack.studies.tune_nht_trial import ORIGINS, loss_from, paper, score_from

@@ -5,7 +5,7 @@ import xarray as xr
 
 from jaxtrack.studies import moment, moment_report, tables
 from jaxtrack.studies.moment_paper import TABLES
-from jaxtrack.studies.moment_trial import METHODS, SCENES, SIDE_M, look, track_all
+from jaxtrack.studies.moment_trial import METHODS, SCENES, SIDE_M, begin, track_all
 
 LOOKS = 27
 
@@ -137,8 +137,8 @@ def test_every_cell_is_of_one_structure():
 def test_the_operator_picks_the_side_of_the_bucket_that_echoes_and_ours_follows_its_middle():
     @jax.jit
     def one(key, inputs):
-        seen = look(key, inputs)
-        return seen, track_all(key, seen, ())["shape"]
+        run = begin(key, inputs)
+        return run.seen, track_all(run, ())["shape"]
 
     for cell in moment.scenes().values():
         seen, track = one(jax.random.key(5), moment._inputs(cell))

@@ -102,6 +102,7 @@ def test_damage_is_shown(study):
     ("arguments", "message"),
     [
         (("run", "nowhere.toml"), "nowhere.toml: No such file"),
+        (("run", "nowhere"), "nowhere: no such file, and no study of that name; there are: ccm, "),
         (("run", "wrong.toml"), "wrong.toml:3: trials: got 0"),
         (("resume", "nowhere"), "nowhere: there is no study here"),
         (("status", "nowhere"), "nowhere: there is no study here"),
