@@ -350,13 +350,39 @@ CASES = {
 }  # fmt: skip
 every_case = pytest.mark.parametrize("name", CASES)
 # These compile for seconds, and central differences are among their own tests too.
-LONG = (
-    "extended.update, unscented.update, smooth, mix, pda, jpda, pmht, cloud.soft, cloud_cmeans, "
-    "fuzzy_cmeans, memberships, update, update_mixture, update_centroid, update_single, hu, "
-    "soft_zernike, sinkhorn_ospa, ospa, gospa, ospa2, trajectory_gospa, optimal_transport, "
-    "jpda.marginals, belief_propagation.marginals, votes soft, votes scaled gaussian, "
-    "standard.soft_votes, slope_intercept.soft_votes, kalman.update, position_log_likelihood_ratio"
-).split(", ")
+LONG = [
+    "extended.update",
+    "unscented.update",
+    "smooth",
+    "mix",
+    "pda",
+    "jpda",
+    "pmht",
+    "cloud.soft",
+    "cloud_cmeans",
+    "fuzzy_cmeans",
+    "memberships",
+    "update",
+    "update_mixture",
+    "update_centroid",
+    "update_single",
+    "hu",
+    "soft_zernike",
+    "sinkhorn_ospa",
+    "ospa",
+    "gospa",
+    "ospa2",
+    "trajectory_gospa",
+    "optimal_transport",
+    "jpda.marginals",
+    "belief_propagation.marginals",
+    "votes soft",
+    "votes scaled gaussian",
+    "standard.soft_votes",
+    "slope_intercept.soft_votes",
+    "kalman.update",
+    "position_log_likelihood_ratio",
+]
 
 
 def test_the_long_ones_exist():
