@@ -9,6 +9,7 @@ loop (a track alone, separate gates), and overconfident elsewhere.
 """
 
 import functools
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -112,8 +113,7 @@ def _propagate(weight: Array, miss: Array, iterations: int) -> tuple[Array, Arra
     return found, moved
 
 
-@functools.partial(jax.custom_vjp, nondiff_argnums=(2,))
-def _messages(weight: Array, missed: Array, iterations: int) -> tuple[Array, Array]:
+def _run(weight: Array, missed: Array, iterations: int) -> tuple[Array, Array]:
     """Return the messages ν before and after the last iteration."""
     go = lambda nu, _: (_iterate(nu, weight, missed), None)
     before, _ = jax.lax.scan(go, jnp.ones_like(weight), length=iterations - 1)
@@ -128,7 +128,7 @@ def _iterate(nu: Array, weight: Array, missed: Array) -> Array:
 def _forth(
     weight: Array, missed: Array, iterations: int
 ) -> tuple[tuple[Array, Array], tuple[Array, Array, Array]]:
-    found = _messages(weight, missed, iterations)
+    found = _run(weight, missed, iterations)
     return found, (found[1], weight, missed)
 
 
@@ -158,6 +158,8 @@ def _back(
     return mu + nu * _sum_of_others(d, 1), d.sum(1)
 
 
+_messages: Callable[[Array, Array, int], tuple[Array, Array]]
+_messages = jax.custom_vjp(_run, nondiff_argnums=(2,))
 _messages.defvjp(_forth, _back)
 
 

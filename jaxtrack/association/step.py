@@ -80,11 +80,9 @@ def if_any(
     A branch is a unit to the compiler, and what leads back out of it stands in memory once. Without
     one each gradient that needs it computes it anew, and all of them take three times as long.
     """
-    stay = lambda there, mean, covariance, *more: (mean, covariance)
-    dtype = jnp.result_type(*(x for x in jax.tree.leaves((mean, covariance, more)) if _floats(x)))
-    mean, covariance = jnp.asarray(mean, dtype), jnp.asarray(covariance, dtype)
-    return jax.lax.cond(there.any(), update, stay, there, mean, covariance, *more)
-
-
-def _floats(x: Array) -> bool:
-    return bool(jnp.issubdtype(jnp.result_type(x), jnp.floating))
+    at = there, mean, covariance, *more
+    like = jax.eval_shape(update, *at)
+    stay = lambda there, *moments: tuple(
+        jnp.asarray(x, y.dtype) for x, y in zip(moments[:2], like, strict=True)
+    )
+    return jax.lax.cond(there.any(), update, stay, *at)
