@@ -18,6 +18,8 @@ from jaxtrack.hough import slope_intercept
 from jaxtrack.hough.votes import Votes, accumulate, evaluate, hard, soft
 from jaxtrack.metrics import ospa
 from jaxtrack.numerics.choice import choose, greater, step
+from jaxtrack.tracking import lifecycle, soft_lifecycle
+from jaxtrack.tracking.lifecycle import Births
 from jaxtrack.types import Scan, Stage
 from tests.hough.cases import GRID, PEAKS, SIZES, SPEED, random_looks
 
@@ -118,6 +120,55 @@ def nearest_track():
     return (mine & (squared < GATE)).astype(float)
 
 
+LIVES = tracking.LifecycleParams(2, 1.0, 3, 2, 6)
+HITS = jnp.asarray(np.random.default_rng(11).random((12, 6)) < 0.5)
+LEVELS = 1.0 + draw(12, 12, 6) + jnp.sign(draw(12, 12, 6))  # scores, clear of that which confirms
+BORN = Births(jnp.zeros((6, 2)), jnp.zeros((6, 2, 2)), jnp.ones(6, bool), jnp.zeros(6))
+
+
+def lives(temperature):
+    """Return by how much six tracks exist after each of twelve looks; None: whether they do."""
+    seen, look = jnp.ones(6, bool), jnp.asarray(True)
+
+    def softly(soft, now):
+        hit, score = now
+        tracks = soft.table.tracks._replace(log_score=score)
+        soft = soft._replace(table=soft.table._replace(tracks=tracks))
+        soft = soft_lifecycle.soft_grade(soft, hit.astype(float), seen, look, LIVES, softness)
+        return soft, soft.table.tracks.existence
+
+    def hardly(table, now):
+        hit, score = now
+        table = table._replace(tracks=table.tracks._replace(log_score=score))
+        table = lifecycle.grade(table, hit, seen, look, LIVES)
+        return table, (table.tracks.stage >= Stage.CONFIRMED).astype(float)
+
+    size = {"tracks": 6, "state": 2, "looks": 4}
+    if temperature is None:
+        begin = lifecycle.admit(lifecycle.empty_table(jnp.zeros(()), **size), BORN, LIVES).table
+        return jax.lax.scan(hardly, begin, (HITS, LEVELS))[1]
+    softness = soft_lifecycle.Softness(looks=0.5 * temperature, score=0.5 * temperature)
+    begin = soft_lifecycle.soft_empty_table(jnp.zeros(()), **size)
+    begin, _ = soft_lifecycle.soft_admit(begin, BORN, jnp.ones(6), LIVES)
+    return jax.lax.scan(softly, begin, (HITS, LEVELS))[1]
+
+
+PATTERNS = jnp.array([[0.0, 0.0], [6.0, 0.0], [6.0, 5.0], [3.0, 3.0]])
+SPOTS = jnp.repeat(PATTERNS, jnp.array([9, 8, 2, 5]), axis=0, total_repeat_length=24)
+SPOTS = SPOTS + draw(13, 24, 2) * jnp.where(jnp.arange(24) < 19, 0.6, 3.0)[:, None]
+FOUR, ONES = jnp.ones(4, bool), jnp.ones(24)
+MEMBERS = clustering.memberships(SPOTS, PATTERNS, active=FOUR, fuzzifier=1.6)
+# None is near enough to another to fall to it: what is left of survival is deletion.
+DELETION = clustering.IsodataParams(
+    merge_exponent=0.0, membership_floor=0.5, aggregation_gate=0.8, delete_share=0.7
+)
+
+
+def deleted():
+    found = clustering.partition(SPOTS, ONES, PATTERNS, FOUR, MEMBERS, params=DELETION)
+    return clustering.delete(FOUR, ONES.sum(), found, params=DELETION).astype(float)
+
+
 SETS = (draw(9, 3, 2), jnp.ones(3, bool), draw(10, 4, 2), jnp.ones(4, bool))
 TABLE = {"votes": jnp.array([9.0, 4.0, 2.0, 1.0]), "mask": jnp.ones(4, bool), "false_per_run": 0.4}
 NEAR_ONE = jnp.array([[True, False], [False, False], [False, True], [False, False]])
@@ -161,6 +212,14 @@ PARTS = {
         1e-6,
     ),
     "clouds": (classes, lambda: classes(None), WARM, 1e-6),
+    "patterns": (
+        lambda t: clustering.survival(
+            SPOTS, ONES, PATTERNS, FOUR, MEMBERS, 0.2 * t, params=DELETION
+        ),
+        deleted,
+        WARM,
+        1e-6,
+    ),
     "JPDA": (
         functools.partial(associated, jpda.associate),
         lambda: associated(nearest.optimal, 1.0),
@@ -192,6 +251,13 @@ PARTS = {
         WARM,
         1e-6,
     ),
+    "features": (
+        lambda t: moments.soft_log_features(VALUE, t**2),
+        lambda: -moments.log_features(VALUE),
+        WARM,
+        1e-3,
+    ),
+    "lives": (lives, lambda: lives(None), WARM, 1e-6),
     "gates": (
         lambda t: tuning.false_track_loss(3.0, temperature=t, **TABLE),
         lambda: tuning.false_track_loss(3.0, **TABLE),

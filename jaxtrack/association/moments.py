@@ -5,17 +5,24 @@ semidefinite terms (Joseph's form), so that they stay so in single precision. Th
 to rounding: the prediction makes them so again, where it costs the least.
 """
 
-from typing import NamedTuple
+import functools
 
 import jax.numpy as jnp
 
 from jaxtrack.association.gating import Association, OwnView, Predicted, innovations
+from jaxtrack.association.step import (
+    LEAST,
+    Step,
+    if_any,
+    move,
+    quotient,
+    sandwich,
+    weighted_outer,
+)
 from jaxtrack.numerics.checks import check_array, check_choice
-from jaxtrack.numerics.safe import safe_divide
 from jaxtrack.types import Array, Scan
 
 NOISES = ("shared", "single")
-_LEAST = 1e-12  # echoes; fewer are none
 
 
 def update_mixture(
@@ -59,6 +66,17 @@ def update_mixture(
         Equation 15 prints a plus sign, with which the covariance diverges; it is a minus.
     """
     there = _check(mean, covariance, predicted, association)
+    return if_any(_mixture, there, mean, covariance, predicted, scan, association)
+
+
+def _mixture(
+    there: Array,
+    mean: Array,
+    covariance: Array,
+    predicted: Predicted,
+    scan: Scan,
+    association: Association,
+) -> tuple[Array, Array]:
     found = innovations(predicted, scan)
     beta = jnp.where(found.present, association.weight, 0.0)
     ixx, ixy, iyy = found.inverse
@@ -70,10 +88,10 @@ def update_mixture(
     if same:
         mean_inverse = tuple(one[:, 0] for one in found.inverse)
     else:
-        mean_inverse = tuple(_quotient((beta * one).sum(-1), total) for one in found.inverse)
-    spread = _weighted_outer(beta, y[0] - ybar[0][:, None], y[1] - ybar[1][:, None])
-    missed = _weighted_outer(association.miss[:, None], ybar[0][:, None], ybar[1][:, None])
-    noise = tuple((beta * one).sum(-1) for one in _sandwich(found.inverse, found.noise_m2))
+        mean_inverse = tuple(quotient((beta * one).sum(-1), total) for one in found.inverse)
+    spread = weighted_outer(beta, y[0] - ybar[0][:, None], y[1] - ybar[1][:, None])
+    missed = weighted_outer(association.miss[:, None], ybar[0][:, None], ybar[1][:, None])
+    noise = tuple((beta * one).sum(-1) for one in sandwich(found.inverse, found.noise_m2))
     middle = [a + b + c for a, b, c in zip(spread, missed, noise, strict=True)]
     if not same:
         # Gains differ from detection to detection: their scatter about the mean gain.
@@ -81,10 +99,10 @@ def update_mixture(
             one - bar[:, None] for one, bar in zip(found.inverse, mean_inverse, strict=True)
         )
         v = jnp.where(there[:, None, None], predicted.covariance_m2, 0.0)[:, None]
-        scatter = _sandwich(apart, (v[..., 0, 0], v[..., 0, 1], v[..., 1, 1]))
+        scatter = sandwich(apart, (v[..., 0, 0], v[..., 0, 1], v[..., 1, 1]))
         middle = [one + (beta * more).sum(-1) for one, more in zip(middle, scatter, strict=True)]
-    step = _Step(ybar, mean_inverse, (middle[0], middle[1], middle[2]), total, association.miss)
-    return _move(mean, covariance, there, step)
+    step = Step(ybar, mean_inverse, (middle[0], middle[1], middle[2]), total, association.miss)
+    return move(mean, covariance, there, step)
 
 
 def update_single(
@@ -115,7 +133,7 @@ def update_single(
         >>> print(update_single(mean, covariance, predicted, scan, one)[0])
         [[0.5 0.5]]
     """
-    _check(mean, covariance, predicted, association)
+    there = _check(mean, covariance, predicted, association)
     tracks, detections = association.weight.shape
     if detections == 0:
         return update_mixture(mean, covariance, predicted, scan, association)
@@ -140,7 +158,7 @@ def update_single(
     one = jnp.ones(1, bool)
     look = Scan(scan.time_s, scan.valid, jnp.zeros((1, 2), mean.dtype), one)
     weight = association._replace(weight=association.weight.sum(1, keepdims=True))
-    return update_mixture(mean, covariance, predicted._replace(view=mine), look, weight)
+    return _mixture(there, mean, covariance, predicted._replace(view=mine), look, weight)
 
 
 def update_centroid(
@@ -193,13 +211,26 @@ def update_centroid(
     """
     check_choice("noise", noise, NOISES)
     there = _check(mean, covariance, predicted, association)
+    update = functools.partial(_centroid, noise)
+    return if_any(update, there, mean, covariance, predicted, scan, association)
+
+
+def _centroid(
+    noise: str,
+    there: Array,
+    mean: Array,
+    covariance: Array,
+    predicted: Predicted,
+    scan: Scan,
+    association: Association,
+) -> tuple[Array, Array]:
     found = innovations(predicted, scan)
     weight = jnp.where(found.present, association.weight, 0.0)
     count = weight.sum(-1)
-    some = count > _LEAST
-    x, y = (_quotient((weight * one).sum(-1), count) for one in (found.x_m, found.y_m))
+    some = count > LEAST
+    x, y = (quotient((weight * one).sum(-1), count) for one in (found.x_m, found.y_m))
     unsure = weight * (1 - weight)
-    spread = _weighted_outer(unsure, found.x_m - x[:, None], found.y_m - y[:, None])
+    spread = weighted_outer(unsure, found.x_m - x[:, None], found.y_m - y[:, None])
     r = tuple((weight * one).sum(-1) for one in found.noise_m2)
     if noise == "single":
         factor = some.astype(count.dtype)
@@ -212,7 +243,7 @@ def update_centroid(
     v = jnp.where(there[:, None, None], predicted.covariance_m2, 0.0)
     unit = (1.0, 0.0, 1.0)
     n = [
-        jnp.where(some, _quotient(a + b, count), e) for a, b, e in zip(r, spread, unit, strict=True)
+        jnp.where(some, quotient(a + b, count), e) for a, b, e in zip(r, spread, unit, strict=True)
     ]
     sxx, sxy, syy = (
         factor * one + more
@@ -225,67 +256,12 @@ def update_centroid(
     inverse = tuple(jnp.where(definite, one, 0.0) for one in inverse)
     ixx, ixy, iyy = (factor * one for one in inverse)
     moved = ixx * x + ixy * y, ixy * x + iyy * y
-    noises = tuple(factor * one for one in _sandwich(inverse, n))  # S⁻¹ (N/f) S⁻¹
+    noises = tuple(factor * one for one in sandwich(inverse, n))  # S⁻¹ (N/f) S⁻¹
     # Between the update and none, where a miss is possible: the spread of the two means.
-    between = _weighted_outer((total * miss)[:, None], moved[0][:, None], moved[1][:, None])
+    between = weighted_outer((total * miss)[:, None], moved[0][:, None], moved[1][:, None])
     middle = tuple(total * one + more for one, more in zip(noises, between, strict=True))
-    step = _Step((total * moved[0], total * moved[1]), (ixx, ixy, iyy), middle, total, miss)
-    return _move(mean, covariance, there, step)
-
-
-class _Step(NamedTuple):
-    """What an update does, in the space of the measurement; entries [T], matrices xx, xy, yy."""
-
-    moved: tuple[Array, ...]  # x⁺ = x + P Hᵀ moved
-    inverse: tuple[Array, ...]  # mean S⁻¹ given a detection
-    middle: tuple[Array, ...]  # W
-    total: Array  # probability of a detection
-    miss: Array
-
-
-def _move(mean: Array, covariance: Array, there: Array, step: _Step) -> tuple[Array, Array]:
-    """Return x + B y and β₀ P + b (I − K H) P (I − K H)ᵀ + B W Bᵀ with B = P Hᵀ, K = B S⁻¹."""
-    before = jnp.where(there[:, None], mean, 0.0)
-    p = jnp.where(there[:, None, None], covariance, 0.0)
-    bx, by = p[:, :, 0], p[:, :, 1]
-    ixx, ixy, iyy = (one[:, None] for one in step.inverse)
-    kx, ky = bx * ixx + by * ixy, bx * ixy + by * iyy
-    left = p - _outer(kx, bx) - _outer(ky, by)
-    # Its first two columns, told apart: the compiler computes what it fuses anew for each entry.
-    first, second = (
-        one - kx * bx[:, k, None] - ky * by[:, k, None] for k, one in enumerate((bx, by))
-    )
-    both = left - _outer(first, kx) - _outer(second, ky)
-    wxx, wxy, wyy = (one[:, None] for one in step.middle)
-    through = _outer(bx * wxx + by * wxy, bx) + _outer(bx * wxy + by * wyy, by)
-    after = step.miss[:, None, None] * p + step.total[:, None, None] * both + through
-    moved = before + step.moved[0][:, None] * bx + step.moved[1][:, None] * by
-    return jnp.where(there[:, None], moved, mean), jnp.where(
-        there[:, None, None], after, covariance
-    )
-
-
-def _quotient(numerator: Array, total: Array) -> Array:
-    """Return numerator / total, 0 where the total is nothing; finite gradients for any total."""
-    return safe_divide(numerator, jnp.where(total > _LEAST, total, 0.0))
-
-
-def _sandwich(a: tuple[Array, ...], m: tuple[Array, ...] | list[Array]) -> tuple[Array, ...]:
-    """Return A M A for symmetric matrices given as xx, xy, yy."""
-    axx, axy, ayy = a
-    mxx, mxy, myy = m
-    first, second = axx * mxx + axy * mxy, axx * mxy + axy * myy
-    third, fourth = axy * mxx + ayy * mxy, axy * mxy + ayy * myy
-    return first * axx + second * axy, first * axy + second * ayy, third * axy + fourth * ayy
-
-
-def _outer(a: Array, b: Array) -> Array:
-    return a[:, :, None] * b[:, None, :]
-
-
-def _weighted_outer(weight: Array, x: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Return Σ_i w_i (x_i, y_i)(x_i, y_i)ᵀ over the last axis: xx, xy, yy."""
-    return (weight * x * x).sum(-1), (weight * x * y).sum(-1), (weight * y * y).sum(-1)
+    step = Step((total * moved[0], total * moved[1]), (ixx, ixy, iyy), middle, total, miss)
+    return move(mean, covariance, there, step)
 
 
 def _check(mean: Array, covariance: Array, predicted: Predicted, association: Association) -> Array:

@@ -62,7 +62,10 @@ def optimal_transport(epsilon: Array | float = 0.5, *, iterations: int = 50) -> 
         weights = normalized(log_weight)
         weights = jnp.where(weights > _LIGHTEST, weights, _LIGHTEST)
         centred = particles - particles.mean(0, keepdims=True)
-        inverse = safe_divide(1.0, (centred**2).mean(0))
+        variance = (centred**2).mean(0)
+        # What rounding leaves of particles that are all alike is no spread.
+        rounding = (8 * jnp.finfo(particles.dtype).eps) ** 2 * (particles**2).mean(0)
+        inverse = safe_divide(1.0, jnp.where(variance > rounding, variance, 0.0))
         apart = (particles[:, None, :] - particles[None, :, :]) ** 2
         cost = (apart * inverse[None, None, :]).sum(-1) / (components * scale)
 

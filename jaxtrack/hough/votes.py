@@ -226,8 +226,8 @@ def evaluate(rho_m: Array, theta_rad: Array, votes: Votes, kernel: VoteKernel) -
         return (clean.weight * kernel.similarity(rho, theta, prepared)).sum()
 
     # A loop, for its operands stand in memory: in one product of queries and votes XLA computes
-    # every vote anew, pairs and all, for every query.
-    return jax.lax.map(count, (rho_m, theta_rad))
+    # every vote anew, pairs and all, for every query. Gradients do not fetch what they can compute.
+    return jax.lax.map(jax.checkpoint(count, prevent_cse=False), (rho_m, theta_rad))
 
 
 def accumulate(votes: Votes, grid: Grid, *, sizes: Sizes) -> Array:

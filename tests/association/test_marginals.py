@@ -189,3 +189,20 @@ def test_the_largest_numbers_are_no_misses_in_single_precision():
     one = lambda *ratio: jpda.marginals(jnp.array([ratio], jnp.float32), jnp.float32([0.1]))[0]
     np.testing.assert_allclose(one(1e38, 1e38), [0.5, 0.5, 0.0], atol=1e-6)
     np.testing.assert_allclose(one(jnp.inf, 1.0), [1.0, 0.0, 0.0], atol=1e-6)
+
+
+def test_many_terms_are_summed_as_few_are():
+    """Padding to more detections than are summed one by one changes neither value nor slope."""
+    rng = np.random.default_rng(5)
+    ratio, miss = rng.uniform(0.2, 3.0, (3, 4)), jnp.asarray(rng.uniform(0.3, 1.0, 3))
+
+    def both(wide):
+        def loss(ratio):
+            found = loopy(jnp.pad(ratio, ((0, 0), (0, wide))), miss)[:, :4]
+            return jnp.sin(3 * found).sum(), found
+
+        slope, found = jax.jit(jax.grad(loss, has_aux=True))(ratio)
+        return slope, found
+
+    for got, expected in zip(both(40), both(0), strict=True):
+        np.testing.assert_allclose(got, expected, rtol=1e-9)

@@ -132,6 +132,12 @@ def test_single_precision():
     assert not moments.hu(jnp.zeros((0, 2)), jnp.zeros(0)).any()
 
 
+def test_what_single_precision_cannot_hold_stays_finite():
+    xy, weight = cloud(5)
+    found = gradient((1e4 * xy).astype(np.float32), (1e-3 * weight).astype(np.float32))
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found))
+
+
 def test_errors_name_the_argument():
     with pytest.raises(ValueError, match=r"weight: got shape \[2\], want \[3\]"):
         moments.hu(np.zeros((3, 2)), np.ones(2))
