@@ -1,4 +1,4 @@
-"""A study's folder is held by one run at a time: two would remove each other's half written chunks."""
+"""One run at a time holds a study's folder: two would remove each other's half written chunks."""
 
 import contextlib
 import pathlib

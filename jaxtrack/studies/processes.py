@@ -33,6 +33,7 @@ class Processes(NamedTuple):
         """Yield 0, 1, …, each number to one process only: whoever is free takes the next."""
         if self.client is None:
             yield from itertools.count()
+            return
         while True:
             yield self.client.key_value_increment(f"{self.run}/ticket", 1) - 1
 

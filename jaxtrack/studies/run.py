@@ -5,9 +5,9 @@ compared on the same draws. A method is one program; its cells differ in traced 
 those of static fields. A chunk that is stored is read, not computed, so a study that was stopped
 goes on where it was and ends in the same bytes.
 
-Several processes share a study once `jax.distributed.initialize` has brought them together. Whoever is
-free takes the next chunk. Each follows on the disk which chunks are there from the first on, and so
-finds the same end.
+Several processes share a study once `jax.distributed.initialize` has brought them together. Whoever
+is free takes the next chunk. Each follows on the disk which chunks are there from the first on, and
+so finds the same end.
 """
 
 import math

@@ -20,9 +20,10 @@ from jaxtrack.studies.design import read_design
 from jaxtrack.studies.functions import shipped_study
 from jaxtrack.studies.run import Progress
 from jaxtrack.studies.trials import programs_of, variables_of
-from tests.studies.own_study import FILE, bytes_in, environment, written
+from tests.studies.own_study import FILE, bytes_in, environment, write_documented, written
 
-ROOT = pathlib.Path(__file__).parents[2]
+
+JOINT = ("--coordinator-address", "here", "--num-processes", "2", "--process-id")
 
 
 @pytest.fixture
@@ -107,6 +108,9 @@ def test_damage_is_shown(study):
         (("resume", "nowhere"), "nowhere: there is no study here"),
         (("status", "nowhere"), "nowhere: there is no study here"),
         (("status", "nowhere", "--out", "x"), "--out: is for run alone"),
+        (("status", "nowhere", "--process-id", "0"), "--coordinator-address, --num-processes"),
+        (("run", "study.toml", "--process-id", "0"), "--coordinator-address: is missing; "),
+        (("run", "study.toml", *JOINT, "1"), "--coordinator-address: got here, want HOST:PORT"),
     ],
 )
 def test_users_errors_are_one_line(study, arguments, message):
@@ -175,9 +179,7 @@ def test_progress_comes_with_every_chunk(tmp_path):
 
 
 def test_the_example_of_the_documentation_is_true(tmp_path):
-    text = (ROOT / "docs" / "studies.md").read_text()
-    for block in re.findall(r"```\w+\n(.*?)```", text, re.DOTALL):
-        (tmp_path / re.match(r"# (\S+)\n", block)[1]).write_text(block)
+    text = write_documented(tmp_path)
     command = [sys.executable, "-m", "jaxtrack.cli", "study", "run", "middles.toml"]
     settings = {"cwd": tmp_path, "capture_output": True, "text": True, "check": True}
     single = {**environment(1), "JAX_ENABLE_X64": "0"}
