@@ -22,7 +22,6 @@ from jaxtrack.studies.run import Progress
 from jaxtrack.studies.trials import programs_of, variables_of
 from tests.studies.own_study import FILE, bytes_in, environment, write_documented, written
 
-
 JOINT = ("--coordinator-address", "here", "--num-processes", "2", "--process-id")
 
 
