@@ -228,8 +228,8 @@ def test_who_is_left_alone_ends_too_and_until_then_holds_the_folder(tmp_path, lo
 
 
 @pytest.fixture
-def documented(tmp_path, monkeypatch):
-    """Return a folder with the documentation's files, and commands for them to find."""
+def documented(tmp_path):
+    """Return a folder with the documentation's files, and an environment in which they run."""
     write_documented(tmp_path)
     commands = {
         "jaxtrack": f'exec "{sys.executable}" -m jaxtrack.cli "$@"',
@@ -248,41 +248,40 @@ def documented(tmp_path, monkeypatch):
     for name, text in commands.items():
         (tmp_path / "bin" / name).write_text(f"#!/bin/bash\n{text}\n")
         (tmp_path / "bin" / name).chmod(0o755)
-    monkeypatch.delenv("COLUMNS", raising=False)
-    for name, value in environment(2).items():
-        monkeypatch.setenv(name, value)
-    monkeypatch.setenv("PATH", str(tmp_path / "bin"), prepend=os.pathsep)
-    return tmp_path
+    path = f"{tmp_path / 'bin'}{os.pathsep}{os.environ['PATH']}"
+    return tmp_path, {**environment(2), "PATH": path}
 
 
-def check_recipe(folder, script):
+def check_recipe(folder, script, env):
     """Check that a script of the documentation gives the bytes and the table of one process."""
-    settings = {"cwd": folder, "capture_output": True, "text": True}
+    settings = {"cwd": folder, "env": env, "capture_output": True, "text": True}
     run = subprocess.run(["bash", script], **settings)
     assert run.returncode == 0, run.stderr
-    one = subprocess.run(["jaxtrack", "study", "run", "middles.toml", "--out", "one"], **settings)
+    command = [folder / "bin" / "jaxtrack", "study", "run", "middles.toml", "--out", "one"]
+    one = subprocess.run(command, **settings)
     assert bytes_in(folder / "results" / "middles") == bytes_in(folder / "one")
     assert run.stdout == one.stdout.replace("one: ", "results/middles: ", 1)
     assert run.stdout.endswith("\ncomplete\n")
 
 
 def test_the_recipe_for_ssh_is_true(documented):
-    script = documented / "over_ssh.sh"
+    folder, env = documented
+    script = folder / "over_ssh.sh"
     text = script.read_text()
-    assert "(node1 node2)" in text
-    assert ":7788" in text
-    text = text.replace("node1 node2", "localhost localhost")
-    script.write_text(text.replace(":7788", f":{free_port()}"))
-    check_recipe(documented, script)
+    for told, here in (("(node1 node2)", "(localhost localhost)"), (":7788", f":{free_port()}")):
+        assert told in text
+        text = text.replace(told, here)
+    script.write_text(text)
+    check_recipe(folder, script, env)
 
 
 @pytest.mark.slow
-def test_the_recipe_for_slurm_is_true(documented, monkeypatch):
+def test_the_recipe_for_slurm_is_true(documented):
+    folder, env = documented
     # JAX takes one of 4096 ports, by the number of the job.
-    job = random.randrange(4096)
-    for name, value in {"JOB_ID": job, "NTASKS": 2, "CPUS_PER_TASK": 2}.items():
-        monkeypatch.setenv(f"SLURM_{name}", str(value))
-    check_recipe(documented, documented / "on_slurm.sh")
+    slurm = {"JOB_ID": random.randrange(4096), "NTASKS": 2, "CPUS_PER_TASK": 2}
+    env |= {f"SLURM_{name}": str(value) for name, value in slurm.items()}
+    check_recipe(folder, folder / "on_slurm.sh", env)
 
 
 @pytest.mark.slow
