@@ -1,7 +1,7 @@
-"""Studies from files: cores, the cost of a trial as studies grow, memory, a million trials, imports.
+"""Studies from files: cores, the cost of a trial as studies grow, memory, a million trials.
 
 Every run is a process of its own, on as many cores as it says, which are its devices; the first
-chunk, which compiles, is not timed. `make bench`, or with names:
+chunk, which compiles, is not timed. And how long the import takes. `make bench`, or with names:
 `python benchmarks/studies.py cores cost`. The figure goes to results/benchmarks.
 """
 
@@ -45,7 +45,7 @@ MILLION = 1_000_000
 
 
 def window(key):
-    """Return the cell P_M = P_F = 0.3, σ = 3 m of the study csht_estimation, false alarms by beam."""
+    """Return a window of csht_estimation: P_M = P_F = 0.3, σ = 3 m, false alarms by beam."""
     from jaxtrack.hough import pack_beams
     from jaxtrack.sensors import motion_elements_scene, observe_beams
     from jaxtrack.studies.csht_trial import BEAM_COUNT, POSITIONS

@@ -1,5 +1,6 @@
 """`jaxtrack study`, the page of the documentation on it, and the study that comes along."""
 
+import errno
 import io
 import os
 import pathlib
@@ -118,6 +119,48 @@ def test_users_errors_are_one_line(study, arguments, message):
     assert (code, out) == (2, "")
     assert len(err.splitlines()) == 1
     assert err.startswith(f"jaxtrack: {message}")
+
+
+def test_a_full_disk_is_one_line_and_the_study_goes_on_later(study, monkeypatch):
+    sync, calls = os.fsync, 0
+
+    def full(handle):
+        nonlocal calls
+        calls += 1
+        if calls == 50:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        sync(handle)
+
+    with monkeypatch.context() as within:
+        within.setattr(os, "fsync", full)
+        code, out, err = study("run", "study.toml", "--out", "here")
+    assert (code, out) == (2, "")
+    reason = "could not be written: No space left on device; what was stored before is whole"
+    assert re.fullmatch(rf"jaxtrack: here: trials \d+ to \d+ {reason}\n", err)
+    whole = chunks.committed(chunks.open_chunks(pathlib.Path("here")))
+    assert whole == set(range(int(re.search(r"trials (\d+)", err)[1]) // 8)) != set()
+    assert study("resume", "here")[0] == 0
+    study("run", "study.toml")
+    assert bytes_in(pathlib.Path("here")) == bytes_in(pathlib.Path("results/study"))
+
+
+@pytest.mark.parametrize("action", ["run", "resume", "status"])
+def test_a_store_of_another_version_is_one_line_and_stays(study, tmp_path, action):
+    store = chunks.create(
+        tmp_path / "here",
+        {"mean.error_m": chunks.Variable((), (), "float32")},
+        trials=40,
+        chunk=8,
+        attributes={},
+    )
+    meta = store.folder / chunks.RESULTS / "zarr.json"
+    meta.write_text(meta.read_text().replace('"format": 1', '"format": 2'))
+    before = bytes_in(tmp_path / "here")
+    target = ("study.toml", "--out", "here") if action == "run" else ("here",)
+    code, out, err = study(action, *target)
+    reason = "here: the store has format 2, this version of jaxtrack reads 1"
+    assert (code, out, err) == (2, "", f"jaxtrack: {reason}\n")
+    assert bytes_in(tmp_path / "here") == before
 
 
 def test_functions_that_are_gone_are_an_error_and_lose_nothing(study, tmp_path):
