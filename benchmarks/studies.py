@@ -42,17 +42,17 @@ function = "operator:lt"
 """
 STUDIES = {"csht": CSHT, "cheap": CHEAP}
 MILLION = 1_000_000
+BEAMS = 90
 
 
 def window(key):
     """Return a window of csht_estimation: P_M = P_F = 0.3, σ = 3 m, false alarms by beam."""
     from jaxtrack.hough import pack_beams
     from jaxtrack.sensors import motion_elements_scene, observe_beams
-    from jaxtrack.studies.csht_trial import BEAM_COUNT, POSITIONS
 
     scene = motion_elements_scene()
-    scans = observe_beams(key, *scene, beams=BEAM_COUNT, false_alarms="per_beam")
-    return scene.truth, pack_beams(scans, scene.sonar, POSITIONS["per_beam"])[0]
+    scans = observe_beams(key, *scene, beams=BEAMS, false_alarms="per_beam")
+    return scene.truth, pack_beams(scans, scene.sonar, BEAMS)[0]
 
 
 def csht(seen):
@@ -64,11 +64,10 @@ def csht(seen):
 
 def position_ospa_m(seen, tracks):
     from jaxtrack.metrics import ospa
-    from jaxtrack.studies.csht_trial import CUTOFF, ORDER
 
     truth = seen[0]
     there = truth.state[-1, :, :2], truth.mask[-1]
-    return ospa(tracks.mean[:, :2], tracks.mask, *there, cutoff=CUTOFF, order=ORDER).distance
+    return ospa(tracks.mean[:, :2], tracks.mask, *there, cutoff=20.0, order=2.0).distance
 
 
 def run(name, trials):
@@ -157,7 +156,8 @@ def cost():
     ):
         axes = figure.add_subplot(1, 2, place)
         axes.semilogx(sizes, [one[name] * scale for one in took], "o-")
-        axes.set(xlabel="trials", ylabel=label, ylim=(0, None))
+        top = 1.2 * scale * max(one[name] for one in took)
+        axes.set(xlabel="trials", ylabel=label, ylim=(0, top))
         axes.grid(alpha=0.3)
     FIGURE.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(FIGURE, dpi=120)
