@@ -25,12 +25,12 @@ from tests.studies.own_study import (
     written,
 )
 
-# Says which chunks it writes; `fails` is what it meets at the third.
+# Says which chunks it writes. Its trouble: the disk is full at the third, or the first has to wait.
 CHILD = """
 import errno, os, pathlib, sys
 import jax
 
-file, out, address, index, heartbeat_s, fails = sys.argv[1:]
+file, out, address, index, heartbeat_s, trouble = sys.argv[1:]
 jax.distributed.initialize(address, 2, int(index), heartbeat_timeout_seconds=int(heartbeat_s))
 
 from jaxtrack.studies import chunks, run
@@ -41,7 +41,9 @@ inner, written = chunks.write, []
 def write(store, number, values):
     written.append(number)
     print(number, flush=True)
-    if fails == "full disk" and len(written) == 3:
+    if trouble == "waits" and len(written) == 1:
+        input()
+    if trouble == "full disk" and len(written) == 3:
         def full(handle):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         os.fsync = full
@@ -52,7 +54,7 @@ run.run_study(read_design(pathlib.Path(file)), pathlib.Path(out))
 """
 
 
-PIPES = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+PIPES = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE) | {"text": True}
 
 
 def free_port():
@@ -61,11 +63,11 @@ def free_port():
         return probe.getsockname()[1]
 
 
-def two(file, out, *, devices=(1, 2), heartbeat_s=100, fails=("", "")):
+def two(file, out, *, devices=(1, 2), heartbeat_s=100, trouble=("", "")):
     """Start two processes of one run."""
     address, pair = f"localhost:{free_port()}", []
     for index in (0, 1):
-        arguments = (file, out, address, index, heartbeat_s, fails[index])
+        arguments = (file, out, address, index, heartbeat_s, trouble[index])
         command = [sys.executable, "-c", CHILD, *map(str, arguments)]
         pair.append(subprocess.Popen(command, env=environment(devices[index]), **PIPES))
     return pair
@@ -127,14 +129,17 @@ def test_chunks_beyond_the_end_are_removed(tmp_path, long):
 
 def killed_and_resumed(tmp_path, kills, seed):
     """Return the bytes of a study of which both processes were killed so often, and of a whole."""
-    trials = 8 * 30 * (kills + 1)
+    trials = 8 * 40 * (kills + 1)
     file = written(tmp_path, FILE.replace("trials = 40", f"trials = {trials}"))
     design, out = read_design(file), tmp_path / "out"
     draw = random.Random(seed)
     for turn in range(kills):
-        pair = two(file, out, devices=((1, 2), (4, 1), (2, 2))[turn % 3])
+        devices = ((1, 2), (4, 1), (2, 2))[turn % 3]
+        pair = two(file, out, devices=devices, trouble=("waits", "waits"))
         for process in pair:
             assert process.stdout.readline()  # its first chunk is computed
+        for process in pair:
+            print(file=process.stdin, flush=True)
         time.sleep(0.1 * draw.random())
         dies, stays = draw.sample(pair, 2)
         dies.kill()
@@ -164,7 +169,7 @@ def test_a_study_killed_twenty_times_in_two_processes_ends_in_the_same_bytes(tmp
 def test_a_full_disk_of_one_process_ends_both_and_loses_nothing(tmp_path, long):
     file, whole = long
     out = tmp_path / "out"
-    codes, numbers, complaints = ended(two(file, out, fails=("", "full disk")))
+    codes, numbers, complaints = ended(two(file, out, trouble=("", "full disk")))
     assert codes == [1, 1]
     failed = numbers[1][2]
     span = f"trials {8 * failed} to {8 * failed + 7}"
