@@ -17,16 +17,17 @@ import time
 CORES = sorted(os.sched_getaffinity(0))
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 FIGURE = ROOT / "results" / "benchmarks" / "cost_of_a_trial.png"
+# The cell P_M = P_F = 0.3, σ = 3 m of the study csht_estimation, false alarms by beam.
 CSHT = """
 trials = {trials}
 chunk = 500
 micro_batch = 1
 [scene]
-function = "studies:window"
+function = "jaxtrack.studies.csht_trial:window"
 [method.CSHT]
-function = "studies:csht"
+function = "jaxtrack.studies.csht_trial:csht"
 [metric.position_ospa_m]
-function = "studies:position_ospa_m"
+function = "jaxtrack.studies.csht_trial:position_ospa_m"
 """
 # As little as there can be in a trial: what is left is the engine and the store.
 CHEAP = """
@@ -42,32 +43,6 @@ function = "operator:lt"
 """
 STUDIES = {"csht": CSHT, "cheap": CHEAP}
 MILLION = 1_000_000
-BEAMS = 90
-
-
-def window(key):
-    """Return a window of csht_estimation: P_M = P_F = 0.3, σ = 3 m, false alarms by beam."""
-    from jaxtrack.hough import pack_beams
-    from jaxtrack.sensors import motion_elements_scene, observe_beams
-
-    scene = motion_elements_scene()
-    scans = observe_beams(key, *scene, beams=BEAMS, false_alarms="per_beam")
-    return scene.truth, pack_beams(scans, scene.sonar, BEAMS)[0]
-
-
-def csht(seen):
-    from jaxtrack.hough import clustering_statistic
-
-    params = clustering_statistic.ClusteringParams()
-    return clustering_statistic.estimate(seen[1], params)[0]
-
-
-def position_ospa_m(seen, tracks):
-    from jaxtrack.metrics import ospa
-
-    truth = seen[0]
-    there = truth.state[-1, :, :2], truth.mask[-1]
-    return ospa(tracks.mean[:, :2], tracks.mask, *there, cutoff=20.0, order=2.0).distance
 
 
 def run(name, trials):
@@ -78,7 +53,7 @@ def run(name, trials):
     from jaxtrack.studies.design import design_of
     from jaxtrack.studies.run import run_study
 
-    design = design_of(STUDIES[name].format(trials=trials), pathlib.Path(__file__).parent)
+    design = design_of(STUDIES[name].format(trials=trials), ROOT)
     begin, compiled = time.perf_counter(), None
 
     def see(progress):
