@@ -40,6 +40,7 @@ bench: $(DEV) ## ours against NumPy, the paper's times and other libraries
 	$(BIN)/python benchmarks/trackers.py
 	$(BIN)/python benchmarks/particle.py speed
 	$(BIN)/python benchmarks/gradients.py
+	$(BIN)/python benchmarks/studies.py
 
 notebooks: $(DEV) ## execute every notebook, two at a time, leaving the files as they are
 	printf '%s\n' notebooks/*.ipynb | xargs -P 2 -I BOOK sh -c \

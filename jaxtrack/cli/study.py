@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import os
 import pathlib
 import shutil
 import signal
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from jaxtrack.cli.screen import console_of_tables, fail, line, use_all_cores
 
 if TYPE_CHECKING:
+    from jaxtrack.studies.design import Design
     from jaxtrack.studies.run import Outcome, Progress
 
 _SAY_AFTER_S = 30.0  # without a terminal, progress is a line that often
@@ -24,24 +26,35 @@ def study(
     /,
     *,
     out: pathlib.Path | None = None,
+    coordinator_address: str | None = None,
+    num_processes: int | None = None,
+    process_id: int | None = None,
 ) -> int:
     """Run a study that a TOML file describes, go on with it, see how far it is, or report it.
+
+    The last three are for several processes, on one machine or many, that share a study's folder;
+    under SLURM they are found out.
 
     Args:
         action: run a file (and go on, if its folder is there); resume or show a folder, or write
             its report.html, also before it is complete.
         target: of run: a TOML file, or the name of one that comes with jaxtrack; else a folder.
         out: of run: the folder for the results; results/NAME if it is not given.
+        coordinator_address: HOST:PORT, a free port of the machine of process 0.
+        num_processes: how many there are.
+        process_id: which of them this is, from 0 on.
     """
     use_all_cores()
-    from jaxtrack.studies.design import read_design
-    from jaxtrack.studies.functions import shipped_study
+    from jaxtrack.studies.processes import together
     from jaxtrack.studies.report import write_report
-    from jaxtrack.studies.run import open_study, run_study, status_of
+    from jaxtrack.studies.run import run_study, status_of
     from jaxtrack.studies.study_file import StudyError
 
+    joint = (coordinator_address, num_processes, process_id)
     if out is not None and action != "run":
         return fail(f"--out: is for run alone; {action} takes the folder itself")
+    if action in ("status", "report") and any(value is not None for value in joint):
+        return fail("--coordinator-address, --num-processes, --process-id: are for run and resume")
     try:
         if action == "status":
             _show(status_of(target), target)
@@ -49,18 +62,62 @@ def study(
         if action == "report":
             print(write_report(status_of(target), target))
             return 0
-        if action == "resume":
-            design, folder = open_study(target), target
-        else:
-            is_name = target.name == str(target) and not target.suffix and not target.exists()
-            design = read_design(shipped_study(target.name) if is_name else target)
-            folder = pathlib.Path("results") / target.stem if out is None else out
-        with _interrupts() as stopped, _progress_line() as report:
+        first = _join(*joint)
+        with together() as team:
+            design, folder = _study_of(action, target, out)
+            team.agree()
+        with _interrupts() as stopped, _progress_line(shown=first) as report:
             outcome = run_study(design, folder, on_progress=report, stopped=stopped)
     except (StudyError, OSError) as error:
         return fail(line(error))
-    _show(outcome, folder)
+    if first:
+        _show(outcome, folder)
     return 0 if outcome.complete else 130
+
+
+def _join(
+    coordinator_address: str | None, num_processes: int | None, process_id: int | None
+) -> bool:
+    """Join the other processes, if there are any, and return whether this is the first."""
+    import jax
+
+    from jaxtrack.studies.study_file import StudyError
+
+    options = {
+        "--coordinator-address": coordinator_address,
+        "--num-processes": num_processes,
+        "--process-id": process_id,
+    }
+    missing = [name for name, value in options.items() if value is None]
+    if len(missing) == len(options) and int(os.environ.get("SLURM_STEP_NUM_TASKS", "1")) == 1:
+        return True
+    if 0 < len(missing) < len(options):
+        raise StudyError(f"{missing[0]}: is missing; {', '.join(options)} belong together")
+    if coordinator_address is not None and ":" not in coordinator_address:
+        raise StudyError(f"--coordinator-address: got {coordinator_address}, want HOST:PORT")
+    # It would keep the process from ending when it is told to.
+    jax.config.update("jax_enable_preemption_service", False)
+    try:
+        jax.distributed.initialize(coordinator_address, num_processes, process_id)
+        jax.local_devices()  # they wait for each other here
+    except (ValueError, RuntimeError) as error:
+        raise StudyError(f"processes cannot be joined: {error}") from error
+    return jax.process_index() == 0
+
+
+def _study_of(
+    action: str, target: pathlib.Path, out: pathlib.Path | None
+) -> tuple["Design", pathlib.Path]:
+    """Return a study, and the folder for its results."""
+    from jaxtrack.studies.design import read_design
+    from jaxtrack.studies.functions import shipped_study
+    from jaxtrack.studies.run import open_study
+
+    if action == "resume":
+        return open_study(target), target
+    is_name = target.name == str(target) and not target.suffix and not target.exists()
+    design = read_design(shipped_study(target.name) if is_name else target)
+    return design, pathlib.Path("results") / target.stem if out is None else out
 
 
 @contextlib.contextmanager
@@ -82,8 +139,11 @@ def _interrupts() -> Iterator[Callable[[], bool]]:
 
 
 @contextlib.contextmanager
-def _progress_line() -> Iterator[Callable[["Progress"], None]]:
+def _progress_line(*, shown: bool) -> Iterator[Callable[["Progress"], None]]:
     """Show progress on one line of a terminal; without one, a line from time to time."""
+    if not shown:
+        yield lambda _: None
+        return
     screen = sys.stderr
     drawn = screen.isatty()
     every_s = 0.2 if drawn else _SAY_AFTER_S

@@ -4,7 +4,7 @@ results.zarr/<method>.<metric>    an array [grid …, trial], one file a chunk
 commits/00000003.json             that chunk 3 is whole, with checksums of all its variables
 
 A chunk counts once its commit record is there. The record is written last, after everything else
-has reached the disk. Chunks share nothing, so that several processes could write their own.
+has reached the disk. Chunks share nothing, so that several processes write their own.
 """
 
 import contextlib
@@ -14,6 +14,7 @@ import os
 import pathlib
 import re
 import shutil
+import tempfile
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
@@ -161,6 +162,8 @@ def read(store: Chunks, number: int) -> dict[str, np.ndarray] | None:
     try:
         checksums = json.loads(record.read_text(encoding="utf-8"))["checksums"]
         values = {name: np.asarray(array[..., first:end]) for name, array in store.arrays.items()}
+    except FileNotFoundError:  # another process writes it again
+        return None
     except OSError:
         raise
     except Exception:  # a truncated file: JSON's, Crc32c's or zstd's own complaint
@@ -193,7 +196,7 @@ def write(store: Chunks, number: int, values: Mapping[str, np.ndarray]) -> None:
         _sync([record.parent])
     except OSError as error:
         with contextlib.suppress(OSError):
-            clean(store)
+            remove(store, number)
         reason = error.strerror or error
         raise StudyError(
             f"{store.folder}: trials {first} to {end - 1} could not be written: {reason}; "
@@ -201,8 +204,24 @@ def write(store: Chunks, number: int, values: Mapping[str, np.ndarray]) -> None:
         ) from error
 
 
+def remove(store: Chunks, number: int) -> None:
+    """Remove a chunk, and what a broken write of it left behind.
+
+    Raises:
+        OSError: the folder cannot be written.
+    """
+    record = _record_file(store, number)
+    record.unlink(missing_ok=True)
+    _sync([record.parent])
+    record.with_name(f"{_HALF}{record.name}").unlink(missing_ok=True)
+    for name in store.arrays:
+        file = _file(store, name, number)
+        for part in (file, *file.parent.glob(f"{file.name}.*")):  # zarr's, half written
+            part.unlink(missing_ok=True)
+
+
 def clean(store: Chunks) -> None:
-    """Remove what a broken write left behind.
+    """Remove what broken writes left behind, while no process writes.
 
     Raises:
         OSError: the folder cannot be written.
@@ -226,10 +245,9 @@ def check_writable(store: Chunks) -> None:
     Raises:
         StudyError: nothing can.
     """
-    probe = store.folder / COMMITS / f"{_HALF}probe"
     try:
-        probe.write_bytes(b"")
-        probe.unlink()
+        with tempfile.NamedTemporaryFile(prefix=_HALF, dir=store.folder / COMMITS):
+            pass
     except OSError as error:
         raise StudyError(
             f"{store.folder}: cannot be written: {error.strerror or error}; what is stored is whole"

@@ -4,6 +4,10 @@ Trial t has the key fold_in(key(seed), t) in every cell and with every method, s
 compared on the same draws. A method is one program; its cells differ in traced values, but for
 those of static fields. A chunk that is stored is read, not computed, so a study that was stopped
 goes on where it was and ends in the same bytes.
+
+Several processes share a study once `jax.distributed.initialize` has brought them together. Whoever
+is free takes the next chunk. Each follows on the disk which chunks are there from the first on, and
+so finds the same end.
 """
 
 import math
@@ -12,10 +16,16 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
+import numpy as np
+
 from jaxtrack.studies import chunks, made, summary
 from jaxtrack.studies.design import Design, axes_of, design_of
+from jaxtrack.studies.hold import held
+from jaxtrack.studies.processes import END, LOOK_AGAIN_S, OPEN, Processes, together
 from jaxtrack.studies.study_file import StudyError
-from jaxtrack.studies.trials import compute, programs_of, variables_of
+from jaxtrack.studies.trials import Program, compute, programs_of, variables_of
+
+_SEEN_AFTER_S = 120.0  # so late may a folder be seen that another machine has made
 
 
 class Progress(NamedTuple):
@@ -72,24 +82,21 @@ def run_study(
         >>> bool(0.2 < outcome.found.mean["size.negative"] < 0.8)
         True
     """
-    programs = programs_of(design)
-    variables = variables_of(design, programs)
-    store = _open(design, folder, variables)
-    chunks.check_writable(store)
-    chunks.clean(store)
-    found: summary.Moments | None = None
-    clock: tuple[int, float] | None = None  # the first chunk, which compiles, is not timed
-    for number in range(store.count):
-        first, end = store.span(number)
-        values = chunks.read(store, number)
-        if values is None:
-            report = _reporter(design, first, end, found, clock, on_progress)
-            values = compute(design, programs, variables, first, end, report)
-            chunks.write(store, number, values)
-            clock = clock or (end, time.perf_counter())
-        found = summary.merged(found, summary.moments(design, values))
-        if summary.enough(design, found) or stopped():
-            break
+    with together() as team:
+        programs = programs_of(design)
+        variables = variables_of(design, programs)
+        store = _open(team, design, folder, variables)
+        chunks.check_writable(store)
+        if team.index == 0:
+            with held(folder, alone=True):
+                chunks.clean(store)
+        with held(folder, alone=False):
+            team.tell(OPEN)
+            computed = _computed(design, programs, variables, store, on_progress)
+            found = _work(team, design, store, computed, stopped)
+            team.leave()
+            if team.index == 0:
+                found = _finished(design, store, found)
     return _outcome(design, store, found, ())
 
 
@@ -133,16 +140,82 @@ def _outcome(
     found: summary.Moments | None,
     damaged: tuple[int, ...],
 ) -> Outcome:
-    complete = found is not None and (
-        found.trials == design.trials or summary.enough(design, found)
-    )
-    return Outcome(design, store, found, complete, damaged)
+    return Outcome(design, store, found, _is_complete(design, found), damaged)
+
+
+def _is_complete(design: Design, found: summary.Moments | None) -> bool:
+    return found is not None and (found.trials == design.trials or summary.enough(design, found))
+
+
+def _following(design: Design, found: summary.Moments | None) -> int:
+    """Return the number of the chunk after those that are found."""
+    return 0 if found is None else -(-found.trials // design.chunk)
+
+
+def _work(
+    team: Processes,
+    design: Design,
+    store: chunks.Chunks,
+    computed: Callable[[int, summary.Moments | None], dict[str, np.ndarray]],
+    stopped: Callable[[], bool],
+) -> summary.Moments | None:
+    """Compute chunks, and return what is found of all processes' when there is no more to do."""
+    found: summary.Moments | None = None
+    ahead: dict[int, summary.Moments] = {}  # of chunks before which another one is missing
+    tickets = team.tickets()
+    while True:
+        number = _following(design, found)
+        if number not in ahead and (values := chunks.read(store, number)) is not None:
+            ahead[number] = summary.moments(design, values)
+        if number not in ahead:
+            mine = next(ticket for ticket in tickets if ticket >= number)
+            if mine < store.count:
+                values = chunks.read(store, mine)
+                if values is None:
+                    values = computed(mine, found)
+                    chunks.write(store, mine, values)
+                ahead[mine] = summary.moments(design, values)
+            else:  # another process computes what is missing
+                time.sleep(LOOK_AGAIN_S)
+        if number in ahead:
+            found = summary.merged(found, ahead.pop(number))
+            if _is_complete(design, found):
+                return found
+        if stopped():
+            team.tell(END)
+            return found
+        if team.is_ending():
+            return found
+
+
+def _finished(
+    design: Design, store: chunks.Chunks, found: summary.Moments | None
+) -> summary.Moments | None:
+    """Return what is found once nobody writes any more, and remove what is beyond a study's end."""
+    while not _is_complete(design, found):
+        values = chunks.read(store, _following(design, found))
+        if values is None:
+            return found
+        found = summary.merged(found, summary.moments(design, values))
+    for number in chunks.committed(store):
+        if number >= _following(design, found):
+            chunks.remove(store, number)
+    return found
 
 
 def _open(
-    design: Design, folder: pathlib.Path, variables: dict[str, chunks.Variable]
+    team: Processes,
+    design: Design,
+    folder: pathlib.Path,
+    variables: dict[str, chunks.Variable],
 ) -> chunks.Chunks:
     """Return the folder's store, a new one if there is none; refuse another study's."""
+    if team.index:
+        team.wait_for(lambda: team.is_ending() or bool(team.told(OPEN)))
+        until = time.monotonic() + _SEEN_AFTER_S
+        team.wait_for(lambda: (folder / chunks.RESULTS).exists() or time.monotonic() > until)
+        if not (folder / chunks.RESULTS).exists():
+            raise StudyError(f"{folder}: process {team.index} does not see what process 0 has made")
     facts = {"study": design.config, "made_with": made.decisive(design)}
     if not (folder / chunks.RESULTS).exists():
         attributes = {
@@ -167,6 +240,27 @@ def _open(
     if missing:
         raise StudyError(f"{folder}: {', '.join(missing)} is missing there")
     return store
+
+
+def _computed(
+    design: Design,
+    programs: list[Program],
+    variables: dict[str, chunks.Variable],
+    store: chunks.Chunks,
+    on_progress: Callable[[Progress], None],
+) -> Callable[[int, summary.Moments | None], dict[str, np.ndarray]]:
+    """Return what computes a chunk's values and reports it: `(number, found before) -> values`."""
+    clock: tuple[int, float] | None = None  # the first chunk, which compiles, is not timed
+
+    def computed(number: int, found: summary.Moments | None) -> dict[str, np.ndarray]:
+        nonlocal clock
+        first, end = store.span(number)
+        report = _reporter(design, first, end, found, clock, on_progress)
+        values = compute(design, programs, variables, first, end, report)
+        clock = clock or (end, time.perf_counter())
+        return values
+
+    return computed
 
 
 def _reporter(

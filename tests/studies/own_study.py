@@ -3,6 +3,7 @@
 import json
 import os
 import pathlib
+import re
 
 import jax
 
@@ -86,6 +87,14 @@ def written(folder: pathlib.Path, file: str = FILE, functions: str = FUNCTIONS) 
     path = folder / "study.toml"
     path.write_text(file)
     return path
+
+
+def write_documented(folder: pathlib.Path) -> str:
+    """Write the files that the documentation shows into a folder and return its text."""
+    text = (pathlib.Path(__file__).parents[2] / "docs" / "studies.md").read_text()
+    for block in re.findall(r"```\w+\n(.*?)```", text, re.DOTALL):
+        (folder / re.search(r"^# (\S+\.\w+)$", block, re.MULTILINE)[1]).write_text(block)
+    return text
 
 
 def bytes_in(folder: pathlib.Path) -> dict[str, bytes]:

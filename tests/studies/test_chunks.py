@@ -201,6 +201,20 @@ def test_a_full_disk_is_said_and_loses_nothing(store, monkeypatch, at):
     assert_is(chunks.read(store, 1), 1)
 
 
+def test_a_disk_that_is_full_under_zarr_is_said_and_loses_nothing(store, monkeypatch):
+    chunks.write(store, 0, values(0))
+    before = bytes_in(store.folder)
+
+    async def full(self, key, value):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as within:
+        within.setattr(zarr.storage.LocalStore, "set", full)
+        with pytest.raises(StudyError, match=r"trials 4 to 7 could not be written: No space left"):
+            chunks.write(store, 1, values(1))
+    assert bytes_in(store.folder) == before
+
+
 @contextlib.contextmanager
 def as_nobody():
     """Be a user whom permissions bind, which root is not."""
@@ -252,6 +266,20 @@ def test_stores_of_another_kind_are_refused(store, tmp_path):
     zarr.create_group(tmp_path / "paper" / chunks.RESULTS, zarr_format=3)
     with pytest.raises(StudyError, match="not those of a study's file"):
         chunks.open_chunks(tmp_path / "paper")
+
+
+def test_a_chunk_is_removed_with_what_a_broken_write_left_of_it(store):
+    for number in (0, 2):
+        chunks.write(store, number, values(number, 4 - number))
+    before = bytes_in(store.folder)
+    for number in (0, 2):
+        chunks.write(store, number, values(number, 4 - number))
+    chunks.write(store, 1, values(1))
+    commits, found = store.folder / chunks.COMMITS, store.folder / chunks.RESULTS / "mean.found"
+    (commits / "half_00000001.json").write_text("{")
+    (found / "c" / "1.0123.partial").write_bytes(b"x")
+    chunks.remove(store, 1)
+    assert bytes_in(store.folder) == before
 
 
 def test_what_a_broken_write_left_is_removed(store):

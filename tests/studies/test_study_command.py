@@ -1,5 +1,6 @@
 """`jaxtrack study`, the page of the documentation on it, and the study that comes along."""
 
+import errno
 import io
 import os
 import pathlib
@@ -20,9 +21,9 @@ from jaxtrack.studies.design import read_design
 from jaxtrack.studies.functions import shipped_study
 from jaxtrack.studies.run import Progress
 from jaxtrack.studies.trials import programs_of, variables_of
-from tests.studies.own_study import FILE, bytes_in, environment, written
+from tests.studies.own_study import FILE, bytes_in, environment, write_documented, written
 
-ROOT = pathlib.Path(__file__).parents[2]
+JOINT = ("--coordinator-address", "here", "--num-processes", "2", "--process-id")
 
 
 @pytest.fixture
@@ -107,6 +108,9 @@ def test_damage_is_shown(study):
         (("resume", "nowhere"), "nowhere: there is no study here"),
         (("status", "nowhere"), "nowhere: there is no study here"),
         (("status", "nowhere", "--out", "x"), "--out: is for run alone"),
+        (("status", "nowhere", "--process-id", "0"), "--coordinator-address, --num-processes"),
+        (("run", "study.toml", "--process-id", "0"), "--coordinator-address: is missing; "),
+        (("run", "study.toml", *JOINT, "1"), "--coordinator-address: got here, want HOST:PORT"),
     ],
 )
 def test_users_errors_are_one_line(study, arguments, message):
@@ -115,6 +119,48 @@ def test_users_errors_are_one_line(study, arguments, message):
     assert (code, out) == (2, "")
     assert len(err.splitlines()) == 1
     assert err.startswith(f"jaxtrack: {message}")
+
+
+def test_a_full_disk_is_one_line_and_the_study_goes_on_later(study, monkeypatch):
+    sync, calls = os.fsync, 0
+
+    def full(handle):
+        nonlocal calls
+        calls += 1
+        if calls == 50:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        sync(handle)
+
+    with monkeypatch.context() as within:
+        within.setattr(os, "fsync", full)
+        code, out, err = study("run", "study.toml", "--out", "here")
+    assert (code, out) == (2, "")
+    reason = "could not be written: No space left on device; what was stored before is whole"
+    assert re.fullmatch(rf"jaxtrack: here: trials \d+ to \d+ {reason}\n", err)
+    whole = chunks.committed(chunks.open_chunks(pathlib.Path("here")))
+    assert whole == set(range(int(re.search(r"trials (\d+)", err)[1]) // 8)) != set()
+    assert study("resume", "here")[0] == 0
+    study("run", "study.toml")
+    assert bytes_in(pathlib.Path("here")) == bytes_in(pathlib.Path("results/study"))
+
+
+@pytest.mark.parametrize("action", ["run", "resume", "status"])
+def test_a_store_of_another_version_is_one_line_and_stays(study, tmp_path, action):
+    store = chunks.create(
+        tmp_path / "here",
+        {"mean.error_m": chunks.Variable((), (), "float32")},
+        trials=40,
+        chunk=8,
+        attributes={},
+    )
+    meta = store.folder / chunks.RESULTS / "zarr.json"
+    meta.write_text(meta.read_text().replace('"format": 1', '"format": 2'))
+    before = bytes_in(tmp_path / "here")
+    target = ("study.toml", "--out", "here") if action == "run" else ("here",)
+    code, out, err = study(action, *target)
+    reason = "here: the store has format 2, this version of jaxtrack reads 1"
+    assert (code, out, err) == (2, "", f"jaxtrack: {reason}\n")
+    assert bytes_in(tmp_path / "here") == before
 
 
 def test_functions_that_are_gone_are_an_error_and_lose_nothing(study, tmp_path):
@@ -175,9 +221,7 @@ def test_progress_comes_with_every_chunk(tmp_path):
 
 
 def test_the_example_of_the_documentation_is_true(tmp_path):
-    text = (ROOT / "docs" / "studies.md").read_text()
-    for block in re.findall(r"```\w+\n(.*?)```", text, re.DOTALL):
-        (tmp_path / re.match(r"# (\S+)\n", block)[1]).write_text(block)
+    text = write_documented(tmp_path)
     command = [sys.executable, "-m", "jaxtrack.cli", "study", "run", "middles.toml"]
     settings = {"cwd": tmp_path, "capture_output": True, "text": True, "check": True}
     single = {**environment(1), "JAX_ENABLE_X64": "0"}
