@@ -9,7 +9,6 @@ loop (a track alone, separate gates), and overconfident elsewhere.
 """
 
 import functools
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -47,10 +46,6 @@ def marginals(likelihood_ratio: Array, miss: Array, *, iterations: int = 30) -> 
 
     Source: J. Williams and R. Lau, "Approximate evaluation of marginal association probabilities
         with belief propagation", 2014.
-
-    Note:
-        Gradients are those of the fixed point, by as many iterations of their own: right where the
-        messages have converged. Forward mode (`jax.jvp`) is refused.
     """
     return _propagate(likelihood_ratio, miss, iterations)[0]
 
@@ -113,7 +108,7 @@ def _propagate(weight: Array, miss: Array, iterations: int) -> tuple[Array, Arra
     return found, moved
 
 
-def _run(weight: Array, missed: Array, iterations: int) -> tuple[Array, Array]:
+def _messages(weight: Array, missed: Array, iterations: int) -> tuple[Array, Array]:
     """Return the messages ν before and after the last iteration."""
     go = lambda nu, _: (_iterate(nu, weight, missed), None)
     before, _ = jax.lax.scan(go, jnp.ones_like(weight), length=iterations - 1)
@@ -123,44 +118,6 @@ def _run(weight: Array, missed: Array, iterations: int) -> tuple[Array, Array]:
 def _iterate(nu: Array, weight: Array, missed: Array) -> Array:
     mu = weight / (missed[:, None] + _sum_of_others(weight * nu, 1))
     return 1 / (1 + _sum_of_others(mu, 0))
-
-
-def _forth(
-    weight: Array, missed: Array, iterations: int
-) -> tuple[tuple[Array, Array], tuple[Array, Array, Array]]:
-    found = _run(weight, missed, iterations)
-    return found, (found[1], weight, missed)
-
-
-def _back(
-    iterations: int, kept: tuple[Array, Array, Array], slopes: tuple[Array, Array]
-) -> tuple[Array, Array]:
-    """Lead slopes back through the fixed point: ν̄ (I − ∂ν′/∂ν)⁻¹ by its series.
-
-    No iteration is kept or run again. The messages before the last are looked at without slopes.
-    """
-    nu, weight, missed = kept
-    slope = slopes[1]
-    # With d = w_0 + Σ w ν: ∂ν′/∂μ = −ν′² and ∂μ/∂d = −w / d²; sums over others are symmetric.
-    outer = _iterate(nu, weight, missed) ** 2
-    least = missed[:, None] + _sum_of_others(weight * nu, 1)
-
-    def at_mu(total: Array) -> tuple[Array, Array]:
-        # Quotients, for the compiler would compute products anew for every term of the next sum.
-        mu = -_sum_of_others(outer * total, 0) / least
-        return mu, -weight * mu / least
-
-    def go(total: Array, _: None) -> tuple[Array, None]:
-        return slope + weight * _sum_of_others(at_mu(total)[1], 1), None
-
-    total, _ = jax.lax.scan(go, slope, length=iterations)
-    mu, d = at_mu(total)
-    return mu + nu * _sum_of_others(d, 1), d.sum(1)
-
-
-_messages: Callable[[Array, Array, int], tuple[Array, Array]]
-_messages = jax.custom_vjp(_run, nondiff_argnums=(2,))
-_messages.defvjp(_forth, _back)
 
 
 def _sum_of_others(x: Array, axis: int) -> Array:

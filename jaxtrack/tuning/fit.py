@@ -100,7 +100,8 @@ def fit(
         loss: `(params, key) -> []` of one realization, differentiable in the parameters; define it
             once, for each new function object is compiled anew.
         params: pytree of numbers and arrays to start from, inside their bijectors' range.
-        optimizer: any of optax; a schedule counts its steps.
+        optimizer: of optax; a schedule counts its steps. Those that read the loss get it as `value`;
+            those that evaluate it at other points, in a line search, cannot be used.
         key: all randomness; a step's realizations have keys of their own.
         steps: at most.
         batch: realizations a step.
@@ -120,7 +121,7 @@ def fit(
     Raises:
         TypeError: a size is no Python int, parameters are no numbers, or bijectors are none.
         ValueError: a size is too small, bijectors do not fit, the loss at the start is not finite,
-            or the checkpoint is another fit's.
+            parameters lie outside their bijectors' range, or the checkpoint is another fit's.
 
     Example:
         >>> def squared(params, key):
@@ -147,6 +148,7 @@ def fit(
     bijector = bijector_of(identity() if bijectors is None else bijectors)
     start = jax.tree.map(as_float, params)
     free = bijector.inverse(start)
+    _check_range(start, bijector.forward(free))
     optimizer = optax.with_extra_args_support(optimizer)
     with jax.numpy_dtype_promotion("standard"):
         memory = optimizer.init(free)
@@ -203,15 +205,25 @@ def _advance(
         if clip is not None:
             scale = jnp.where(norm > clip, clip / jnp.where(norm > clip, norm, 1.0), 1.0)
             gradient = jax.tree.map(lambda x: x * scale.astype(x.dtype), gradient)
-        # Optimizers mix dtypes harmlessly, and those with a line search want the loss.
+        # Optimizers mix dtypes harmlessly.
         with jax.numpy_dtype_promotion("standard"):
-            change, after = optimizer.update(gradient, memory, free)
+            change, after = optimizer.update(gradient, memory, free, value=loss, grad=gradient)
             moved = optax.apply_updates(free, change)
         keep = lambda new, old: jax.tree.map(lambda x, y: jnp.where(finite, x, y), new, old)
         free, memory = keep(moved, free), keep(after, memory)
         return free, memory, norm, finite, bijector.forward(free)
 
     return jax.jit(advance)
+
+
+def _check_range(start: Any, again: Any) -> None:
+    """Refuse parameters that their bijectors do not lead back to: they could not be trained."""
+    pairs = zip(jax.tree.leaves_with_path(start), jax.tree.leaves(again), strict=True)
+    for (path, x), y in pairs:
+        x, y = np.asarray(x), np.asarray(y)
+        if not np.allclose(x, y, rtol=1e-3, atol=np.finfo(x.dtype).tiny):
+            name = f"params{jax.tree_util.keystr(path)}"
+            raise ValueError(f"{name}: got {x}, want it inside its bijector's range, which has {y}")
 
 
 def _waited(state: _State, patience: int | None) -> bool:
