@@ -381,6 +381,15 @@ def test_reproduce_rejects(run, studies, arguments, message):
     assert studies == []
 
 
+def test_reproduce_leaves_a_study_of_a_file_alone(run, studies):
+    kept = pathlib.Path("results/nht/commits")
+    kept.mkdir(parents=True)
+    code, _, err = run("reproduce", "nht")
+    assert (code, studies) == (2, [])
+    assert "results/nht: holds a study that `jaxtrack study` keeps" in err
+    assert kept.exists()
+
+
 def test_an_interrupt_ends_with_130(run, studies):
     code, _, err = run("reproduce")
     assert code == 130

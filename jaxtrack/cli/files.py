@@ -207,11 +207,13 @@ def track(
     Args:
         file: CSV. One detection a row: time_s and x_m, y_m or range_m, bearing_deg (see initiate);
             with --beams: time_s, beam, range_m, heading_deg, x_m, y_m.
-        speed_max_m_s: fastest target, m/s.
+        speed_max_m_s: fastest target, m/s; to a Kalman filter twice the standard deviation of a new
+            track's velocity, to kalman_paper nothing.
         tracker: joint votes over the last looks, and is the best; csht and sht are the votes in
             cells of the clustering-statistic paper, and kalman_paper the weak Kalman tracker that
-            it compares them with; the others are Kalman filters with that association. Where a
-            target gives several detections a look: pmht or one of the clouds.
+            it compares them with: clutter's tracks and copies of one target are among theirs, and
+            they read no standard deviations from the file. The others are Kalman filters with
+            that association. Where a target gives several detections a look: pmht or a cloud.
         out: where the tracks go, CSV: a row for each track and look.
         figure: a map of detections and tracks goes here (PNG, PDF or SVG).
         speed_min_m_s: slowest target, m/s; for joint.
@@ -219,7 +221,7 @@ def track(
             m.
         sigma_a_m_s2: acceleration of targets, each coordinate, m/s².
         p_detect: probability that a target is detected in a look.
-        echoes: mean number of detections of a detected target, for pmht.
+        echoes: mean number of detections of a detected target, read by pmht; the clouds need none.
         false_per_window: mean number of false tracks in a window, at most; not for csht and sht.
         window: looks that the votes look at, and those that false-per-window counts.
         bearing: how bearings in the file are counted, degrees.

@@ -95,6 +95,9 @@ def reproduce(
         folder = out / study.name
         try:
             folder.mkdir(parents=True, exist_ok=True)
+            if (folder / "commits").exists():
+                taken = "holds a study that `jaxtrack study` keeps: give another --out"
+                return fail(f"{folder}: {taken}")
         except OSError as error:
             return fail(line(error))
         about = {

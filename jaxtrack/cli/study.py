@@ -115,7 +115,7 @@ def _study_of(
 
     if action == "resume":
         return open_study(target), target
-    is_name = target.name == str(target) and not target.suffix and not target.exists()
+    is_name = target.name == str(target) and not target.suffix and not target.is_file()
     design = read_design(shipped_study(target.name) if is_name else target)
     return design, pathlib.Path("results") / target.stem if out is None else out
 

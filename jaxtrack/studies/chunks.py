@@ -13,6 +13,7 @@ import json
 import os
 import pathlib
 import re
+import secrets
 import shutil
 import tempfile
 from collections.abc import Iterable, Mapping
@@ -80,10 +81,9 @@ def create(
         ...     print(store.count, committed(store), read(store, 1))
         3 {0} None
     """
-    half = folder / f"{_HALF}{RESULTS}"
+    half = folder / f"{_HALF}{RESULTS}.{secrets.token_hex(4)}"  # two may begin at once
     try:
         (folder / COMMITS).mkdir(parents=True, exist_ok=True)
-        shutil.rmtree(half, ignore_errors=True)
         group = zarr.create_group(half, zarr_format=3, attributes={"format": FORMAT, **attributes})
         for name, variable in variables.items():
             dtype = np.dtype(variable.dtype)
@@ -101,6 +101,9 @@ def create(
         half.rename(folder / RESULTS)
         _sync([folder])
     except OSError as error:
+        shutil.rmtree(half, ignore_errors=True)
+        if (folder / RESULTS).exists():
+            raise StudyError(f"{folder}: another run began there at the same time") from error
         raise StudyError(f"{folder}: cannot be made: {error.strerror or error}") from error
     return open_chunks(folder)
 
@@ -141,7 +144,7 @@ def open_chunks(folder: pathlib.Path) -> Chunks:
 def committed(store: Chunks) -> set[int]:
     """Return the numbers of the chunks that have a commit record, damaged ones included."""
     names = [file.stem for file in (store.folder / COMMITS).glob("*.json")]
-    return {int(name) for name in names if re.fullmatch(r"\d{8}", name)}
+    return {int(name) for name in names if re.fullmatch(r"\d{8,}", name)}
 
 
 def commit_times(store: Chunks) -> dict[int, float]:
@@ -230,7 +233,8 @@ def clean(store: Chunks) -> None:
     results, commits = store.folder / RESULTS, store.folder / COMMITS
     whole = {_file(store, name, number) for name in store.arrays for number in numbers}
     whole |= {_record_file(store, number) for number in numbers}
-    shutil.rmtree(store.folder / f"{_HALF}{RESULTS}", ignore_errors=True)
+    for half in store.folder.glob(f"{_HALF}{RESULTS}*"):
+        shutil.rmtree(half, ignore_errors=True)
     commits.mkdir(exist_ok=True)
     found = [*commits.iterdir(), *(f for name in store.arrays for f in _files(results / name))]
     for file in found:

@@ -233,12 +233,18 @@ def _open(
     store = chunks.open_chunks(folder)
     differing = made.differences({key: store.attributes.get(key) for key in facts}, facts)
     if differing:
-        raise StudyError(
-            f"{folder}: holds another study's trials; what differs: {'; '.join(differing)}"
+        same = store.attributes.get("study") == design.config
+        whose = (
+            "this study's trials, made with other versions or files"
+            if same
+            else "another study's trials"
         )
+        raise StudyError(f"{folder}: holds {whose}; what differs: {'; '.join(differing)}")
     missing = sorted(variables.keys() - store.arrays.keys())
     if missing:
-        raise StudyError(f"{folder}: {', '.join(missing)} is missing there")
+        raise StudyError(
+            f"{folder}: {', '.join(missing)} is missing there: begin in another folder"
+        )
     return store
 
 
@@ -250,14 +256,16 @@ def _computed(
     on_progress: Callable[[Progress], None],
 ) -> Callable[[int, summary.Moments | None], dict[str, np.ndarray]]:
     """Return what computes a chunk's values and reports it: `(number, found before) -> values`."""
-    clock: tuple[int, float] | None = None  # the first chunk, which compiles, is not timed
+    clock: float | None = None  # the first chunk, which compiles, is not timed
+    timed = 0  # trials computed since
 
     def computed(number: int, found: summary.Moments | None) -> dict[str, np.ndarray]:
-        nonlocal clock
+        nonlocal clock, timed
         first, end = store.span(number)
-        report = _reporter(design, first, end, found, clock, on_progress)
+        report = _reporter(design, first, end, found, (timed, clock), on_progress)
         values = compute(design, programs, variables, first, end, report)
-        clock = clock or (end, time.perf_counter())
+        timed += 0 if clock is None else end - first
+        clock = clock or time.perf_counter()
         return values
 
     return computed
@@ -268,12 +276,12 @@ def _reporter(
     first: int,
     end: int,
     found: summary.Moments | None,
-    clock: tuple[int, float] | None,
+    before: tuple[int, float | None],
     on_progress: Callable[[Progress], None],
 ) -> Callable[[float], None]:
     """Return what a chunk calls with the share of it that is done."""
-    last, total, begun = None, float(design.trials), time.perf_counter()
-    since = clock or (first, begun)
+    last, total = None, float(design.trials)
+    timed, since = before[0], before[1] or time.perf_counter()
     if found is not None:
         metric = design.until.metric if design.until else design.metrics[0].name
         last = summary.widest(design, found, metric)
@@ -283,7 +291,7 @@ def _reporter(
 
     def report(share: float) -> None:
         done = first + share * (end - first)
-        rate = (done - since[0]) / (time.perf_counter() - since[1])
+        rate = (timed + done - first) / (time.perf_counter() - since)
         on_progress(Progress(done, max(total, done), rate, last))
 
     return report

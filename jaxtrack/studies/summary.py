@@ -15,6 +15,9 @@ import xarray as xr
 
 from jaxtrack.studies.design import Design, axes_of
 
+LEAST_TRIALS = 8
+"""Fewer say too little of their own spread for a study to end."""
+
 
 class Moments(NamedTuple):
     """Of every variable, cell by cell."""
@@ -94,7 +97,9 @@ def enough(design: Design, found: Moments) -> bool:
     """Return whether the study's own rule lets it stop after these trials."""
     if design.until is None:
         return False
-    return widest(design, found, design.until.metric)[2] <= design.until.se  # NaN never
+    error = widest(design, found, design.until.metric)[2]
+    # So few, or all alike, can be luck; NaN never is enough.
+    return found.trials >= LEAST_TRIALS and 0 < error <= design.until.se
 
 
 def rows(design: Design, found: Moments) -> Iterable[dict[str, Any]]:

@@ -4,6 +4,8 @@ A figure fails when its whole 95 % interval lies on the wrong side of its mark. 
 there is no verdict: such a run only shows that everything works ("smoke").
 """
 
+import math
+import re
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -223,13 +225,20 @@ def number(value: float, unit: str = "") -> str:
 
 
 def plus_minus(value: float, error: float) -> str:
-    """Return a mean with its standard error.
+    """Return a mean with its standard error, in three digits, or down to the error's first one.
 
     Example:
-        >>> plus_minus(1.25, 0.031)
-        '1.25 ± .031'
+        >>> plus_minus(1.25, 0.031), plus_minus(0.20814, 0.00012), plus_minus(1000.24, 0.31)
+        ('1.25 ± .031', '.2081 ± .0001', '1000.2 ± .3')
     """
-    return f"{number(value)} ± {number(error)}"
+    shown = number(value), number(error)
+    if not (np.isfinite(value) and error > 0 and np.isfinite(error)):
+        return " ± ".join(shown)
+    places = -math.floor(math.log10(error))
+    if places > 3 or (abs(value) >= 10 ** (3 - places) and places > 0):
+        shown = (f"{x:.{places}f}" for x in (value, error))
+        shown = (re.sub(r"^(-?)0\.", r"\1.", x) for x in shown)
+    return " ± ".join(shown)
 
 
 def duration(seconds: float) -> str:

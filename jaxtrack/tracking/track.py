@@ -74,13 +74,14 @@ def track(
         tracker: one of `TRACKERS`.
         sonar: of looks at beams: its rates, noise and geometry, in place of `sigma_m` and
             `p_detect`. Tracks out of its sight are neither missed nor reported.
-        speed: slowest and fastest target, m/s.
-        sigma_m: noise of a detection, metres, where the scans have no covariances.
+        speed: slowest and fastest target, m/s: bounds of the votes; to a Kalman tracker the fastest
+            is twice the standard deviation of a new track's velocity, to `"kalman_paper"` nothing.
+        sigma_m: noise of a detection, metres, where the scans have no covariances; everywhere for
+            the votes in cells and `"kalman_paper"`, which do not read any.
         sigma_a_m_s2: acceleration of a target, each coordinate, m/s².
         p_detect: probability that a target is detected in a look, in (0, 1).
-        echoes: mean number of detections of a detected target, for PMHT. It and the cloud models
-            take targets of several detections; with every other tracker such a target has as many
-            tracks as there is room for.
+        echoes: mean number of detections of a detected target. PMHT reads it; the cloud models need
+            no such number; every other tracker takes one detection a target and look.
         false_per_window: wanted mean number of false tracks in a window, at most.
         window: looks of the votes, and those that `false_per_window` counts.
         max_tracks: slots of the table; tentative tracks take some, in a Kalman tracker many.
@@ -110,6 +111,9 @@ def track(
     check_known("sigma_a_m_s2", sigma_a_m_s2, lambda x: (x >= 0) & np.isfinite(x), want)
     want = "at least one echo"
     check_known("echoes", echoes, lambda x: (x >= 1) & np.isfinite(x), want)
+    if echoes > 1 and not (tracker in ASSOCIATORS and ASSOCIATORS[tracker].several):
+        takes = ", ".join(name for name, one in ASSOCIATORS.items() if one.several)
+        raise ValueError(f"echoes: got {echoes}, want 1 with {tracker}; several take {takes}")
     check_size("window", window, at_least=3)
     most = MAX_TRACKS if tracker == "jpda" else MOST_TRACKS
     if max_tracks is None:

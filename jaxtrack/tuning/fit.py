@@ -100,8 +100,8 @@ def fit(
         loss: `(params, key) -> []` of one realization, differentiable in the parameters; define it
             once, for each new function object is compiled anew.
         params: pytree of numbers and arrays to start from, inside their bijectors' range.
-        optimizer: of optax; a schedule counts its steps. Those that read the loss get it as `value`;
-            those that evaluate it at other points, in a line search, cannot be used.
+        optimizer: of optax; a schedule counts its steps. Those that read the loss get it, as
+            `value`; a line search, which evaluates it at other points, is not offered.
         key: all randomness; a step's realizations have keys of their own.
         steps: at most.
         batch: realizations a step.

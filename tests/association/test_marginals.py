@@ -114,6 +114,17 @@ def test_gradients_of_marginals_are_central_differences_also_under_jit_and_vmap(
     np.testing.assert_allclose(batch[0], jax.jit(jax.grad(loss))(ratio, miss), rtol=1e-10)
 
 
+def test_gradients_of_messages_that_have_not_settled_are_those_of_what_is_returned():
+    crowded = np.full((4, 4), 50.0) * np.random.default_rng(1).uniform(0.8, 1.2, (4, 4))
+    miss = np.full(4, 0.02)
+    few, many = (loopy(crowded, miss, iterations=n) for n in (5, 200))
+    assert np.abs(few - many).max() > 1e-3
+    marginals = lambda ratio, miss: belief_propagation.marginals(ratio, miss, iterations=5)
+    scale = jnp.asarray(np.random.default_rng(0).normal(size=(4, 5)))
+    loss = lambda ratio, miss: (scale * marginals(ratio, miss) ** 2).sum()
+    assert_gradients_agree(loss, crowded, miss)
+
+
 def test_second_derivatives_are_differences_of_gradients_both_ways():
     ratio, miss = problem(3, (2, 3), zeros=0.0, decades=0.5)
     scale = jnp.asarray(np.random.default_rng(0).normal(size=(2, 4)))

@@ -177,6 +177,7 @@ def test_a_making_that_ends_early_leaves_no_study(tmp_path, monkeypatch):
     with pytest.raises(StudyError, match="there is no study here"):
         chunks.open_chunks(tmp_path)
     store = chunks.create(tmp_path, ABOUT, trials=10, chunk=4, attributes={})
+    chunks.clean(store)
     assert sorted(path.name for path in store.folder.iterdir()) == ["commits", "results.zarr"]
 
 
@@ -282,6 +283,14 @@ def test_a_chunk_is_removed_with_what_a_broken_write_left_of_it(store):
     assert bytes_in(store.folder) == before
 
 
+def test_of_two_runs_that_begin_at_once_one_is_told(store):
+    before = bytes_in(store.folder)
+    about = {"mean.found": chunks.Variable((), (), "float32")}
+    with pytest.raises(StudyError, match="another run began there at the same time"):
+        chunks.create(store.folder, about, trials=4, chunk=2, attributes={})
+    assert bytes_in(store.folder) == before
+
+
 def test_what_a_broken_write_left_is_removed(store):
     chunks.write(store, 0, values(0))
     before = bytes_in(store.folder)
@@ -290,7 +299,7 @@ def test_what_a_broken_write_left_is_removed(store):
     (commits / "00000001.json").unlink()
     (commits / "half_00000002.json").write_text("{")
     (found / "c" / "2.0123.partial").write_bytes(b"x")
-    (store.folder / "half_results.zarr").mkdir()
+    (store.folder / "half_results.zarr.0123abcd").mkdir()
     chunks.clean(store)
     assert bytes_in(store.folder) == before
     assert sorted(path.name for path in store.folder.iterdir()) == ["commits", "results.zarr"]

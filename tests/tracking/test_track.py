@@ -161,6 +161,10 @@ def test_a_sonars_beams_are_followed_where_it_can_see(tracker):
         ({"false_per_window": 0.0}, "false_per_window: got 0"),
         ({"window": 2}, "window: got 2"),
         ({"echoes": 0.5}, "echoes: got 0.5"),
+        (
+            {"echoes": 3.0, "tracker": "jpda"},
+            "echoes: got 3.0, want 1 with jpda; several take cloud",
+        ),
         ({"speed": SpeedGate(5.0, 5.0)}, "v_max_m_s: got 5"),
     ],
 )

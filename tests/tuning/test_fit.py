@@ -226,3 +226,17 @@ def test_arguments_that_cannot_be_are_refused():
 
 def test_a_missing_checkpoint_is_none(tmp_path):
     assert checkpoint.read(tmp_path, "me", {"step": 0}) is None
+
+
+@pytest.mark.parametrize("start", [{"scale": -1.0}, {"shares": jnp.array([0.5, 0.5, 0.2])}])
+def test_a_start_outside_its_bijectors_range_is_refused(start):
+    (name,) = start
+    with pytest.raises(
+        ValueError, match=rf"params\['{name}'\]: got .* inside its bijector's range"
+    ):
+        run(params=START | start)
+
+
+def test_an_optimizer_that_reads_the_loss_gets_it():
+    result = run(optimizer=optax.polyak_sgd(max_learning_rate=0.5))
+    assert result.held_out < run().history.held_out[0]
