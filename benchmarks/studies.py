@@ -101,7 +101,7 @@ def cores():
 
 
 def million():
-    trials = 20_000
+    trials = 100_000
     took = measured("csht", trials, CORES)
     hours = (took["first_s"] + MILLION * took["trial_s"]) / 3600
     print(

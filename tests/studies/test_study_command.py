@@ -204,7 +204,10 @@ def test_a_variable_that_is_gone_is_said(study, tmp_path):
     study("run", "study.toml", "--out", "here")
     shutil.rmtree(tmp_path / "here" / "results.zarr" / "mean.error_m")
     code, _, err = study("resume", "here")
-    assert (code, err) == (2, "jaxtrack: here: mean.error_m is missing there: begin in another folder\n")
+    assert (code, err) == (
+        2,
+        "jaxtrack: here: mean.error_m is missing there: begin in another folder\n",
+    )
 
 
 def test_progress_comes_with_every_chunk(tmp_path):
