@@ -12,7 +12,14 @@ import numpy as np
 import pytest
 
 from jaxtrack import clustering, hough, moments, sensors, tracking, tuning
-from jaxtrack.association import AssociationParams, jpda, nearest, pmht, predict_measurement
+from jaxtrack.association import (
+    AssociationParams,
+    jpda,
+    nearest,
+    pmht,
+    predict_measurement,
+    sinkhorn,
+)
 from jaxtrack.clustering import cloud
 from jaxtrack.hough import slope_intercept
 from jaxtrack.hough.votes import Votes, accumulate, evaluate, hard, soft
@@ -222,6 +229,12 @@ PARTS = {
     ),
     "JPDA": (
         functools.partial(associated, jpda.associate),
+        lambda: associated(nearest.optimal, 1.0),
+        (0.5, 0.1, 0.02),
+        1e-6,
+    ),
+    "association by scaling": (
+        functools.partial(associated, sinkhorn.associate),
         lambda: associated(nearest.optimal, 1.0),
         (0.5, 0.1, 0.02),
         1e-6,

@@ -6,11 +6,12 @@
 Every `associate(predicted, scan, params, key)` is one look of one realization, with tables of
 fixed size. One detection a track at most: `nearest`, `pda`, `jpda` (exact, at most 10 tracks),
 `belief_propagation` (any number), updated by `update_mixture`, or, if it is a choice of one,
-`update_single`. Several echoes a track: `cloud`
-(the cloud model) and `pmht`, updated by `update_centroid`. `ASSOCIATORS` has them by name.
+`update_single`. Several echoes a track: `cloud` (the cloud model) and `pmht`, updated by
+`update_centroid`. `ASSOCIATORS` has them by name. `sinkhorn`, for gradients, is a smooth optimal
+assignment; it is no posterior.
 """
 
-from jaxtrack.association import belief_propagation, cloud, jpda, nearest, pda, pmht
+from jaxtrack.association import belief_propagation, cloud, jpda, nearest, pda, pmht, sinkhorn
 from jaxtrack.association.associators import ASSOCIATORS, Associator, Update
 from jaxtrack.association.gating import (
     Associate,
@@ -48,6 +49,7 @@ __all__ = [
     "pda",
     "pmht",
     "predict_measurement",
+    "sinkhorn",
     "update_centroid",
     "update_mixture",
     "update_single",

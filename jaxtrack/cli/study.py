@@ -97,11 +97,15 @@ def _join(
         raise StudyError(f"--coordinator-address: got {coordinator_address}, want HOST:PORT")
     # It would keep the process from ending when it is told to.
     jax.config.update("jax_enable_preemption_service", False)
+    # Python does not hear Ctrl-C while they wait for each other; there is nothing yet to lose.
+    before = signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
         jax.distributed.initialize(coordinator_address, num_processes, process_id)
-        jax.local_devices()  # they wait for each other here
+        jax.local_devices()  # they wait here too
     except (ValueError, RuntimeError) as error:
         raise StudyError(f"processes cannot be joined: {error}") from error
+    finally:
+        signal.signal(signal.SIGINT, before)
     return jax.process_index() == 0
 
 

@@ -207,7 +207,7 @@ def _part(file: StudyFile, table: Any, path: tuple[str, ...], folder: pathlib.Pa
     table = _table(file, table, path)
     kind, name = path[0], path[-1]
     if not _NAME.fullmatch(name):
-        file.fail(path, "want a name of letters, digits, _ and -, that starts with a letter")
+        file.fail(path, "want a name of letters, digits, _ and -, with no digit in front")
     if not isinstance(table.get("function"), str):
         file.fail((*path, "function"), f"got {table.get('function')!r}, want text")
     try:
@@ -221,6 +221,10 @@ def _part(file: StudyFile, table: Any, path: tuple[str, ...], folder: pathlib.Pa
     fields: dict[str, Any] = {}
     grid: dict[str, tuple[Any, ...]] = {}
     for key, value in values.items():
+        if not _NAME.fullmatch(key):
+            file.fail(
+                (*path, key), "want a name of letters, digits, _ and -, with no digit in front"
+            )
         if isinstance(value, dict):
             grid[key] = _grid(file, value, (*path, key))
         else:

@@ -135,12 +135,12 @@ def details(title: str, *inside: str) -> Html:
     return tag("details", tag("summary", title), *inside)
 
 
-def folded(title: str, table: Html, rows: int) -> Html:
-    """Return a table; one of many rows is opened by a click, and printed if it is open."""
+def folded(title: str, table: Html, rows: int, *, is_open: bool = False) -> Html:
+    """Return a table; of many rows, it is opened or closed by a click and printed if open."""
     if rows <= _OPEN_ROWS:
         return table
     summary = tag("summary", f"{title}: {rows} rows (printed if open)")
-    return tag("details", summary, table, class_="long")
+    return tag("details", summary, table, class_="long", open=is_open)
 
 
 def code(text: str, label: str) -> Html:

@@ -100,7 +100,9 @@ def _results(rows: Sequence[Mapping[str, Any]], trials: int) -> Html:
             "one, on the same draws. Its error is that of the pairs.",
         )
     shown = page.table("table", caption, heads, cells, fields=fields)
-    return joined([words, page.folded("Means and paired differences", shown, len(cells))])
+    return joined(
+        [words, page.folded("Means and paired differences", shown, len(cells), is_open=True)]
+    )
 
 
 def _made(outcome: Outcome) -> Html:
