@@ -24,6 +24,7 @@ from jaxtrack.numerics.checks import check_array, check_size
 from jaxtrack.types import Array, Key, Scan
 
 _FEW = 32  # terms
+_LARGE = 1e15
 
 
 def marginals(likelihood_ratio: Array, miss: Array, *, iterations: int = 30) -> Array:
@@ -100,10 +101,14 @@ def _propagate(weight: Array, miss: Array, iterations: int) -> tuple[Array, Arra
     check_array("likelihood_ratio", weight, shape=("T", "M"))
     check_array("miss", miss, shape=(weight.shape[0],))
     check_size("iterations", iterations)
-    missed = pda.floored(miss)
+    # A row's scale is no matter; beyond what can be squared it would be no number.
+    weight = jnp.minimum(weight, jnp.finfo(jnp.result_type(weight, float)).max)
+    largest = jax.lax.stop_gradient(weight.max(1, initial=0.0))
+    scale = jnp.where(largest > _LARGE, largest, 1.0)
+    weight, missed = weight / scale[:, None], pda.floored(miss / scale)
 
     before, after = _messages(weight, missed, iterations)
-    found, last = (pda.marginals(weight * nu, miss) for nu in (after, before))
+    found, last = (pda.marginals(weight * nu, missed) for nu in (after, before))
     moved = jnp.abs(jax.lax.stop_gradient(found - last)).max(initial=0.0)
     return found, moved
 

@@ -160,6 +160,9 @@ def fit(
     made_by = digest(key, (start, free, memory), *settings)
     if folder is not None:
         state = _resume(folder, made_by, state)
+        if len(state.made) - 1 > steps:
+            kept = f"{len(state.made) - 1} steps stand in {folder}"
+            raise ValueError(f"steps: got {steps}, want no fewer than what was made: {kept}")
 
     _, slope = programs(loss)
     advance = _advance(optimizer, bijector, clip)

@@ -21,6 +21,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxtrack.io import DataError
 from jaxtrack.tuning.falsify import Falsified
 
 _FORMAT = "jaxtrack regression scenes 1"
@@ -76,7 +77,7 @@ def read_regression_scenes(file: str | os.PathLike[str], *, scene: Any, score: A
         score: any score, for its structure.
 
     Raises:
-        ValueError: another format, or other names than those asked for.
+        DataError: not such a file, another format, or other names than those asked for.
 
     Example:
         >>> import tempfile
@@ -85,12 +86,24 @@ def read_regression_scenes(file: str | os.PathLike[str], *, scene: Any, score: A
         ...     _ = file.write_text('{"format": "another"}')
         ...     read_regression_scenes(file, scene={"gap_m": 0.0}, score={"lost": 0.0})
         Traceback (most recent call last):
-        ValueError: file: got ...scenes.json, want one whose format is 'jaxtrack regression scenes 1'
+        jaxtrack.io.errors.DataError: ...scenes.json: want a file whose format is 'jaxtrack regression scenes 1'
     """  # noqa: E501
-    content = json.loads(pathlib.Path(file).read_text(encoding="utf-8"))
+    try:
+        content = json.loads(pathlib.Path(file).read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise DataError(f"{file}: want JSON: {error}") from error
     if not isinstance(content, dict) or content.get("format") != _FORMAT:
-        raise ValueError(f"file: got {file}, want one whose format is {_FORMAT!r}")
+        raise DataError(f"{file}: want a file whose format is {_FORMAT!r}")
+    try:
+        return _falsified(content, scene, score, file)
+    except KeyError as error:
+        raise DataError(f"{file}: {error} is missing") from error
+
+
+def _falsified(content: Any, scene: Any, score: Any, file: str | os.PathLike[str]) -> Falsified:
     rows = content["scenes"]
+    if not rows:
+        raise DataError(f"{file}: scenes: got none, want at least one")
 
     def table(like: Any, of: Callable[[Any], Any]) -> Any:
         each = [_filled(like, of(row), file) for row in rows]
@@ -133,5 +146,5 @@ def _filled(like: Any, values: dict[str, Any], file: str | os.PathLike[str]) -> 
     paths, structure = jax.tree.flatten_with_path(like)
     names = [_name(path) for path, _ in paths]
     if set(names) != set(values):
-        raise ValueError(f"{file}: got the names {sorted(values)}, want {sorted(names)}")
+        raise DataError(f"{file}: got the names {sorted(values)}, want {sorted(names)}")
     return structure.unflatten([np.asarray(values[name], np.float64) for name in names])

@@ -196,8 +196,9 @@ def test_errors_name_the_argument():
         belief_propagation.marginals(jnp.ones((2, 2)), jnp.ones(2), iterations=0)
 
 
-def test_the_largest_numbers_are_no_misses_in_single_precision():
-    one = lambda *ratio: jpda.marginals(jnp.array([ratio], jnp.float32), jnp.float32([0.1]))[0]
+@pytest.mark.parametrize("marginals", [jpda.marginals, belief_propagation.marginals])
+def test_the_largest_numbers_are_no_misses_in_single_precision(marginals):
+    one = lambda *ratio: marginals(jnp.array([ratio], jnp.float32), jnp.float32([0.1]))[0]
     np.testing.assert_allclose(one(1e38, 1e38), [0.5, 0.5, 0.0], atol=1e-6)
     np.testing.assert_allclose(one(jnp.inf, 1.0), [1.0, 0.0, 0.0], atol=1e-6)
 

@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 
 import jax
 import numpy as np
@@ -81,7 +82,11 @@ def test_an_interrupt_ends_after_the_chunk_and_says_how_to_go_on(study, monkeypa
 def test_a_second_interrupt_ends_at_once(study, monkeypatch):
     def interrupted(store, number, values):
         os.kill(os.getpid(), signal.SIGINT)
+        # Two that come before Python has heard the first one are one.
+        while signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+            time.sleep(0.01)
         os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(10.0)
 
     monkeypatch.setattr(chunks, "write", interrupted)
     code, _, err = study("run", "study.toml")

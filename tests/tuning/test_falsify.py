@@ -9,6 +9,7 @@ import numpy as np
 import optax
 import pytest
 
+from jaxtrack.io import DataError
 from jaxtrack.montecarlo import monte_carlo
 from jaxtrack.tuning import (
     falsify,
@@ -110,9 +111,17 @@ def test_a_file_gives_back_what_was_found(tmp_path):
     assert content["scenes"][0]["params"]["y"] == found().scenes["y"][0]
     with pytest.raises(ValueError, match=r"got the names \['x', 'y'\], want \['x'\]"):
         read_regression_scenes(file, scene={"x": 0.0}, score=score)
-    file.write_text("{}")
-    with pytest.raises(ValueError, match="want one whose format is"):
-        read_regression_scenes(file, scene=LOW, score=score)
+    none = json.dumps(content | {"scenes": []})
+    half = json.dumps({"format": content["format"]})
+    for text, reason in (
+        ("{}", "want a file whose format is"),
+        ("{", "want JSON"),
+        (none, "scenes: got none"),
+        (half, "'scenes' is missing"),
+    ):
+        file.write_text(text)
+        with pytest.raises(DataError, match=reason):
+            read_regression_scenes(file, scene=LOW, score=score)
 
 
 def kept():
