@@ -89,10 +89,15 @@ def test_a_second_interrupt_ends_at_once(study, monkeypatch):
         time.sleep(10.0)
 
     monkeypatch.setattr(chunks, "write", interrupted)
-    code, _, err = study("run", "study.toml")
-    assert code == 130
-    assert "jaxtrack: interrupted" in err
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    # What a shell starts in the background ignores interrupts.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        code, _, err = study("run", "study.toml")
+        assert code == 130
+        assert "jaxtrack: interrupted" in err
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_damage_is_shown(study):
