@@ -101,8 +101,8 @@ def _propagate(weight: Array, miss: Array, iterations: int) -> tuple[Array, Arra
     check_array("likelihood_ratio", weight, shape=("T", "M"))
     check_array("miss", miss, shape=(weight.shape[0],))
     check_size("iterations", iterations)
-    # A row's scale is no matter; beyond what can be squared it would be no number.
-    weight = jnp.minimum(weight, jnp.finfo(jnp.result_type(weight, float)).max)
+    # A row's scale is no matter, but of the largest numbers sums are none, nor reciprocals.
+    weight = jnp.minimum(weight, jnp.finfo(jnp.result_type(weight, float)).max / 1024)
     largest = jax.lax.stop_gradient(weight.max(1, initial=0.0))
     scale = jnp.where(largest > _LARGE, largest, 1.0)
     weight, missed = weight / scale[:, None], pda.floored(miss / scale)
