@@ -143,8 +143,8 @@ def open_chunks(folder: pathlib.Path) -> Chunks:
 
 def committed(store: Chunks) -> set[int]:
     """Return the numbers of the chunks that have a commit record, damaged ones included."""
-    names = [file.stem for file in (store.folder / COMMITS).glob("*.json")]
-    return {int(name) for name in names if re.fullmatch(r"\d{8,}", name)}
+    files = (store.folder / COMMITS).glob("*.json")
+    return {int(file.stem) for file in files if re.fullmatch(r"\d{8,}", file.stem)}
 
 
 def commit_times(store: Chunks) -> dict[int, float]:
@@ -200,11 +200,9 @@ def write(store: Chunks, number: int, values: Mapping[str, np.ndarray]) -> None:
     except OSError as error:
         with contextlib.suppress(OSError):
             remove(store, number)
-        reason = error.strerror or error
-        raise StudyError(
-            f"{store.folder}: trials {first} to {end - 1} could not be written: {reason}; "
-            "what was stored before is whole"
-        ) from error
+        what = f"{store.folder}: trials {first} to {end - 1} could not be written"
+        reason = f"{error.strerror or error}; what was stored before is whole"
+        raise StudyError(f"{what}: {reason}") from error
 
 
 def remove(store: Chunks, number: int) -> None:
@@ -236,10 +234,9 @@ def clean(store: Chunks) -> None:
     for half in store.folder.glob(f"{_HALF}{RESULTS}*"):
         shutil.rmtree(half, ignore_errors=True)
     commits.mkdir(exist_ok=True)
-    found = [*commits.iterdir(), *(f for name in store.arrays for f in _files(results / name))]
-    for file in found:
-        if file not in whole:
-            file.unlink()
+    found = {*commits.iterdir(), *(f for name in store.arrays for f in _files(results / name))}
+    for file in found - whole:
+        file.unlink()
     _sync([commits])
 
 
