@@ -60,7 +60,7 @@ def reproduce(
     import jax
 
     from jaxtrack.studies import STUDIES, Context, shown
-    from jaxtrack.studies.results_page import write_page
+    from jaxtrack.studies.papers_report import write_page
     from jaxtrack.studies.tables import duration
 
     console, errors = console_of_tables(), Console(stderr=True)

@@ -46,9 +46,9 @@ def study(
     """
     use_all_cores()
     from jaxtrack.studies.processes import together
-    from jaxtrack.studies.report import write_report
     from jaxtrack.studies.run import run_study, status_of
     from jaxtrack.studies.study_file import StudyError
+    from jaxtrack.studies.study_report import write_report
 
     joint = (coordinator_address, num_processes, process_id)
     if out is not None and action != "run":
@@ -197,7 +197,7 @@ def _show(outcome: "Outcome", folder: pathlib.Path) -> None:
     from rich.table import Table
 
     from jaxtrack.studies import summary
-    from jaxtrack.studies.report import table_of
+    from jaxtrack.studies.study_report import table_of
 
     console = console_of_tables()
     design, found = outcome.design, outcome.found

@@ -16,7 +16,7 @@ import re
 import secrets
 import shutil
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, MutableMapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,7 +46,7 @@ class Chunks(NamedTuple):
     folder: pathlib.Path
     trials: int
     chunk: int
-    attributes: dict[str, Any]
+    attributes: MutableMapping[str, Any]  # what is set goes to the disk
     arrays: dict[str, zarr.Array[Any]]
 
     @property
@@ -123,7 +123,7 @@ def open_chunks(folder: pathlib.Path) -> Chunks:
         raise StudyError(f"{folder}: there is no study here")
     try:
         group = zarr.open_group(folder / RESULTS, mode="r+", zarr_format=3)
-        attributes = dict(group.attrs)
+        attributes = group.attrs
         if "format" not in attributes:
             raise StudyError(f"{folder}: holds results, but not those of a study's file")
         if attributes["format"] != FORMAT:

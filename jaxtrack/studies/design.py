@@ -13,7 +13,8 @@
     [metric.error_m]
     function = "my_scenes:error"
 
-Here it is read, checked and tied to its functions; nothing is computed.
+What results are compared with stands there too, in tables `[[compare]]`; it decides no result. Here
+a file is read, checked and tied to its functions; nothing is computed.
 """
 
 import inspect
@@ -24,13 +25,14 @@ import tomllib
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, NoReturn
 
+from jaxtrack.studies.comparisons import Comparison, read_comparisons
 from jaxtrack.studies.functions import find_function
 from jaxtrack.studies.study_file import StudyError, StudyFile
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 _MOST_TRIALS = 2**32
 _DEFAULTS = {"seed": 0, "chunk": 256, "micro_batch": 32}
-_TOP = ("seed", "trials", "chunk", "micro_batch", "until", "scene", "method", "metric")
+_TOP = ("seed", "trials", "chunk", "micro_batch", "until", "scene", "method", "metric", "compare")
 # What a function is given beside its fields.
 _GIVEN = {"scene": ("key",), "method": ("scene",), "metric": ("scene", "estimate")}
 
@@ -64,7 +66,8 @@ class Design(NamedTuple):
     chunk: int  # trials between two visits to the disk
     micro_batch: int
     until: Until | None
-    config: dict[str, Any]  # the file's tables, defaults filled in
+    compare: tuple[Comparison, ...]
+    config: dict[str, Any]  # the file's tables that decide results, defaults filled in
     text: str  # of the file
     folder: pathlib.Path  # where it lies; its own functions are looked for here
 
@@ -119,6 +122,7 @@ def design_of(
     for key in ("trials", "scene", "method", "metric"):
         if key not in tables:
             file.fail((key,), "is missing")
+    compare = tables.pop("compare", [])
     config = {**_DEFAULTS, **tables}
     _whole(file, config, "seed", 0, 2**31 - 1)
     _whole(file, config, "trials", 1, _MOST_TRIALS)
@@ -149,6 +153,7 @@ def design_of(
     if "trial" in scene.grid:
         file.fail(("scene", "trial"), "got a grid, but this is the name of the trials' dimension")
     until = _until(file, config, [metric.name for metric in metrics])
+    axes = {method.name: _axes(scene, method) for method in methods}
     return Design(
         scene=scene,
         methods=methods,
@@ -158,6 +163,7 @@ def design_of(
         chunk=config["chunk"],
         micro_batch=config["micro_batch"],
         until=until,
+        compare=read_comparisons(file, compare, axes, [metric.name for metric in metrics]),
         config=config,
         text=text,
         folder=folder,
@@ -173,8 +179,12 @@ def axes_of(design: Design, method: Part) -> dict[str, tuple[Any, ...]]:
         >>> list(axes_of(design, design.methods[1]))
         ['sigma_m', 'joint.gate']
     """
+    return _axes(design.scene, method)
+
+
+def _axes(scene: Part, method: Part) -> dict[str, tuple[Any, ...]]:
     own = {f"{method.name}.{field}": values for field, values in method.grid.items()}
-    return {**design.scene.grid, **own}
+    return {**scene.grid, **own}
 
 
 def _table(file: StudyFile, value: Any, path: tuple[str, ...]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxtrack.studies.page import Html, joined, tag
+from jaxtrack.studies.html_page import Html, joined, tag
 
 SCRIPT = pathlib.Path(__file__).with_name("page_atlas.js")
 _DENSE = 14  # columns from which cells are colours alone

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from jaxtrack.studies.page import Html, tag
+from jaxtrack.studies.html_page import Html, tag
 
 # Okabe and Ito's colours, which the colour-blind tell apart, dark enough for white.
 _COLOURS = ("#0072B2", "#D55E00", "#007a59", "#a85a8a", "#8a6100", "#2f7ea8", "#000000", "#7a7a7a")

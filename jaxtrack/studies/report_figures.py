@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxtrack.studies import page_atlas, summary
 from jaxtrack.studies.design import Design, Part, axes_of
-from jaxtrack.studies.page import Html, joined, tag
+from jaxtrack.studies.html_page import Html, joined, tag
 from jaxtrack.studies.page_curves import MOST_CURVES, Panel, Point, key, panels
 from jaxtrack.studies.tables import plus_minus
 

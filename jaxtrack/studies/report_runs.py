@@ -7,22 +7,17 @@ The mean of n independent trials of standard deviation σ has the standard error
 """
 
 import math
-import pathlib
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxtrack.studies import chunks, page
+from jaxtrack.studies import chunks, html_page
 from jaxtrack.studies.design import Design
-from jaxtrack.studies.page import Html, joined, tag
+from jaxtrack.studies.html_page import Html, joined, tag
 from jaxtrack.studies.tables import duration, number, plus_minus
 
-SCRIPT = pathlib.Path(__file__).with_name("page_runs.js")
-_HEADS = (
-    *("method", "cell", "mean", "spread of\none trial", "10 % of\nthe mean", "1 % of\nthe mean"),
-    *("the\nwanted", "time\nfor it"),
-)
+_HEADS = ("method", "cell", "mean", "spread of\none trial", "for 10 % of\nthe mean", "1 % of\nit")
 
 
 class Known(NamedTuple):
@@ -44,36 +39,25 @@ def runs(
             "p",
             f"A standard error falls with the square root of the trials: the {trials} so far halve "
             f"theirs at {_count(4 * trials)}, and have a tenth of it at {_count(100 * trials)}. "
-            "What follows is reckoned from the spread that these trials have.",
+            "What follows is reckoned from the spread that these trials have; any other standard "
+            "error e needs (spread / e)² trials.",
         )
     ]
     for place, metric in enumerate(design.metrics):
         known = _means(design, rows, metric.name, trials)
-        wanted = _wanted(design, metric.name, known)
-        lines = [_line(one, wanted, rate) for one in known]
-        name = f"runs-{place}"
-        table = page.table(
-            name,
-            f"{metric.name}: trials for a standard error, in the cell known least",
-            _HEADS,
-            lines,
+        wanted, whose = _wanted(design, metric.name, known)
+        table = html_page.table(
+            f"runs-{place}",
+            f"{metric.name}: trials for a standard error, in the cell known least; "
+            f"{wanted:g} is {whose}",
+            [*_HEADS, f"for\n{wanted:g}", "time\nfor it"],
+            [_line(one, wanted, rate) for one in known],
             fields=2,
         )
-        box = tag(
-            "input",
-            type="number",
-            min="0",
-            step="any",
-            value=f"{wanted:.2g}",
-            data_runs=name,
-            data_rate=None if rate is None else f"{rate:.6g}",
-            data_spreads=" ".join(f"{one.spread:.6g}" for one in known),
-        )
-        field = tag("label", f"Standard error of {metric.name} wanted", box)
-        parts += [tag("h3", metric.name), tag("p", field, class_="controls"), table]
+        parts += [tag("h3", metric.name), table]
         apart = _differences(design, rows, metric.name, trials)
         if apart:
-            shown = page.table(
+            shown = html_page.table(
                 f"apart-{place}",
                 f"{metric.name}: trials until the paired difference from {design.methods[0].name} "
                 "is two of its standard errors from zero",
@@ -81,17 +65,19 @@ def runs(
                 [_apart(one, trials, rate) for one in apart],
                 fields=2,
             )
-            parts.append(page.folded("Trials for paired differences", shown, len(apart)))
+            parts.append(html_page.folded("Trials for paired differences", shown, len(apart)))
     words = "A difference that is within its error says little of how many trials it needs."
     return joined([*parts, tag("p", words, class_="soft")])
 
 
-def _wanted(design: Design, metric: str, known: Sequence[Known]) -> float:
-    """Return the standard error that the study asks for, or half of what it has."""
+def _wanted(design: Design, metric: str, known: Sequence[Known]) -> tuple[float, str]:
+    """Return the standard error that the study asks for, or half of what it has, and whose."""
     if design.until is not None and design.until.metric == metric:
-        return design.until.se
+        return design.until.se, "what the study asks for"
     errors = [one.error for one in known if math.isfinite(one.error) and one.error > 0]
-    return max(errors) / 2 if errors else 0.01
+    if not errors:
+        return 0.01, "an example"
+    return float(f"{max(errors) / 2:.2g}"), "half of the largest so far"
 
 
 def _line(one: Known, wanted: float, rate: float | None) -> list[str]:

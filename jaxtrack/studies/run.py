@@ -245,6 +245,8 @@ def _open(
         raise StudyError(
             f"{folder}: {', '.join(missing)} is missing there: begin in another folder"
         )
+    if team.index == 0 and store.attributes["text"] != design.text:
+        store.attributes["text"] = design.text  # its words and comparisons decide no result
     return store
 
 

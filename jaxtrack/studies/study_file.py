@@ -34,6 +34,9 @@ def line_of(text: str, path: tuple[str, ...]) -> int:
         except tomllib.TOMLDecodeError:  # in the middle of a value
             continue
         for key in path:
+            if isinstance(known, list):
+                known = dict(enumerate(known, start=1))
+                key = int(key) if key.isdecimal() else key
             known = known.get(key) if isinstance(known, Mapping) else None
         if known is not None:
             return before + 1

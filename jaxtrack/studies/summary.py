@@ -31,7 +31,8 @@ def moments(design: Design, values: Mapping[str, np.ndarray]) -> Moments:
     """Return the moments of a chunk, of variables and of paired differences.
 
     Every method is compared with the first, on the same draws: `b - a.metric` is what method b has
-    more than method a, in every cell of both their grids.
+    more than method a, in every cell of both their grids. What `[[compare]]` bounds by a variable
+    has its paired difference from that too, `b.metric - a.metric`.
 
     Args:
         design: of the study.
@@ -53,11 +54,23 @@ def moments(design: Design, values: Mapping[str, np.ndarray]) -> Moments:
         for other in others
         for metric in design.metrics
     }
+    pairs |= {
+        difference(f"{method}.{metric}", one.variable): (f"{method}.{metric}", one.variable)
+        for one in design.compare
+        if one.variable is not None
+        for method in one.methods
+        for metric in one.metrics
+    }
     with np.errstate(invalid="ignore", over="ignore"):  # a trial of NaN or inf speaks for itself
         data = data.assign({name: data[b] - data[a] for name, (b, a) in pairs.items()})
         mean = data.mean("trial", skipna=False)
         square = ((data - mean) ** 2).sum("trial", skipna=False)
     return Moments(data.sizes["trial"], mean, square)
+
+
+def difference(variable: str, other: str) -> str:
+    """Return what the paired difference of two variables is called."""
+    return f"{variable} - {other}"
 
 
 def merged(a: Moments | None, b: Moments) -> Moments:
@@ -87,9 +100,9 @@ def widest(design: Design, found: Moments, metric: str) -> tuple[str, float, flo
     errors = standard_errors(found)
     names = [f"{method.name}.{metric}" for method in design.methods]
     flat = {name: errors[name].values.ravel() for name in names}
-    known = lambda x: np.where(np.isnan(x), np.inf, x)
-    name = max(names, key=lambda name: known(flat[name]).max())
-    cell = int(known(flat[name]).argmax())
+    certain = lambda x: np.where(np.isnan(x), np.inf, x)
+    name = max(names, key=lambda name: certain(flat[name]).max())
+    cell = int(certain(flat[name]).argmax())
     return name, float(found.mean[name].values.ravel()[cell]), float(flat[name][cell])
 
 
@@ -102,6 +115,23 @@ def enough(design: Design, found: Moments) -> bool:
     return found.trials >= LEAST_TRIALS and 0 < error <= design.until.se
 
 
+class Cell(NamedTuple):
+    """A method in one cell of its grid."""
+
+    method: str
+    fields: dict[str, Any]  # values
+    places: dict[str, int]  # along the axes
+
+
+def cells(design: Design) -> Iterable[Cell]:
+    """Return each method in each cell of its grid."""
+    for method in design.methods:
+        axes = axes_of(design, method)
+        for place in np.ndindex(*(len(values) for values in axes.values())):
+            at = dict(zip(axes, place, strict=True))
+            yield Cell(method.name, {name: axes[name][n] for name, n in at.items()}, at)
+
+
 def rows(design: Design, found: Moments) -> Iterable[dict[str, Any]]:
     """Return a row for each method and cell: its fields, and each metric's (mean, error).
 
@@ -109,25 +139,17 @@ def rows(design: Design, found: Moments) -> Iterable[dict[str, Any]]:
     """
     errors = standard_errors(found)
     first = design.methods[0].name
-    for method in design.methods:
-        labels = axes_of(design, method)
-        own = found.mean[f"{method.name}.{design.metrics[0].name}"]
-        for place in np.ndindex(own.shape):
-            at = dict(zip(own.dims, place, strict=True))
-            row: dict[str, Any] = {
-                "method": method.name,
-                **{str(d): labels[str(d)][n] for d, n in at.items()},
-            }
-            for metric in design.metrics:
-                name = f"{method.name}.{metric.name}"
-                row[metric.name] = _at(found.mean, errors, name, at)
-                pair = f"{method.name} - {first}.{metric.name}"
-                if pair in found.mean and set(found.mean[pair].dims) == set(own.dims):
-                    row[f"{metric.name} - {first}"] = _at(found.mean, errors, pair, at)
-            yield row
+    for cell in cells(design):
+        row: dict[str, Any] = {"method": cell.method, **cell.fields}
+        for metric in design.metrics:
+            row[metric.name] = known(found, errors, f"{cell.method}.{metric.name}", cell)
+            pair = f"{cell.method} - {first}.{metric.name}"
+            if pair in found.mean and set(found.mean[pair].dims) == set(cell.places):
+                row[f"{metric.name} - {first}"] = known(found, errors, pair, cell)
+        yield row
 
 
-def _at(
-    mean: xr.Dataset, errors: xr.Dataset, name: str, at: Mapping[Any, int]
-) -> tuple[float, float]:
-    return float(mean[name].isel(at)), float(errors[name].isel(at))
+def known(found: Moments, errors: xr.Dataset, name: str, cell: Cell) -> tuple[float, float]:
+    """Return mean and standard error of a variable in a cell, of which it may lack some fields."""
+    at = lambda data: float(data[name].isel(cell.places, missing_dims="ignore"))
+    return at(found.mean), at(errors)

@@ -77,6 +77,36 @@ function = "mine:error_m"
 function = "mine:beyond"
 limit_m = 0.5
 """
+COMPARE = """
+[[compare]]
+name = "paper"
+source = "table 4, of 100 runs"
+metric = "error_m"
+method = "shrunk"
+cells = { sigma_m = [1.0, 4.0], shrunk.factor = [0.5, 1.0], shrunk.kind = "mean" }
+value = [[0.18, 0.36], [0.71, nan]]
+
+[[compare]]
+name = "paper"
+metric = ["error_m", "beyond"]
+method = "mean"
+cells = { sigma_m = 4 }
+value = "poor"
+
+[[compare]]
+name = "rival"
+source = "on the same draws"
+metric = "error_m"
+at_most = "mean.error_m"
+
+[[compare]]
+name = "wanted"
+source = "fixed < beforehand"
+metric = "beyond"
+method = ["mean", "shrunk"]
+cells = { sigma_m = [1.0, 4.0] }
+at_most = [0.5, 0.1]
+"""
 
 
 def written(folder: pathlib.Path, file: str = FILE, functions: str = FUNCTIONS) -> pathlib.Path:

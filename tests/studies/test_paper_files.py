@@ -13,7 +13,10 @@ from jaxtrack.studies import (
     ccm_looks,
     ccm_trial,
     csht_cells,
+    csht_paper,
+    csht_report,
     csht_trial,
+    moment_paper,
     moment_trial,
     nht_scenes,
     nht_scores,
@@ -47,7 +50,7 @@ def reduced(name, methods, **cell):
     """The file with some of its methods, in one cell: that of its fields' last values."""
     file = shipped_study(name)
     whole = read_design(file)
-    text = file.read_text(encoding="utf-8")
+    text = file.read_text(encoding="utf-8").partition("\n[[compare]]")[0]
     for method in whole.methods:
         if method.name not in methods:
             text = re.sub(rf"\[method\.{method.name}\]\n(?:[^\[\n].*\n)*", "", text)
@@ -92,6 +95,54 @@ def test_a_file_fits_its_functions(name):
     assert design.trials % design.chunk == 0
     variables = variables_of(design, programs_of(reduced(name, (TINY[name],))))
     assert set(variables) == {f"{TINY[name]}.{metric.name}" for metric in design.metrics}
+
+
+def compared(study, name, metric, method, **fields):
+    """What a file says in a cell; None where nothing."""
+    found = [
+        one.at(fields)
+        for one in read_design(shipped_study(study)).compare
+        if (one.name, metric in one.metrics, method in one.methods) == (name, True, True)
+    ]
+    (figure,) = [figure for figure in found if figure is not None] or [None]
+    return figure
+
+
+def test_every_papers_file_is_compared_with_its_paper():
+    for name in set(TINY) - {"crossing"}:
+        design = read_design(shipped_study(name))
+        assert all(one.source for one in design.compare)
+        wanted = "paper's claim" if name == "ccm_side_by_side" else "paper"
+        assert any(wanted in f"{one.name} {one.source}" for one in design.compare), name
+
+
+def test_bounds_of_the_files_are_the_marks_of_the_studies():
+    for cell in csht_cells.CELLS:
+        study = "csht_estimation" if cell.sigma_m == 3.0 else "csht_estimation_noise"
+        fields = {"false_alarms": "literal", **cell._asdict()}
+        of = lambda metric, at=(study, fields): compared(at[0], "wanted", metric, "joint", **at[1])
+        mark, _ = csht_report._wanted(*cell)
+        assert of("number_right") == (None if mark is None else mark.bound)
+        what = "RATES" if cell.sigma_m == 3.0 else "SIGMA"
+        printed = getattr(csht_paper, f"POSITION_BY_{what}")["CSHT"]
+        if cell.p_miss > 0.3:
+            assert of("position_ospa_m") is None
+        elif what == "RATES":
+            place = csht_paper.RATES.index(cell.p_miss), csht_paper.RATES.index(cell.p_false)
+            assert of("position_ospa_m") == printed[place]
+        else:
+            assert of("position_ospa_m") == printed[csht_paper.SIGMAS_M.index(cell.sigma_m)]
+
+
+def test_the_buckets_distances_are_those_of_the_papers_tables():
+    for motion, name in enumerate(("static", "hovering", "following")):
+        for features in ("hu", "zernike"):
+            for optimised, word in enumerate(("", ", optimised")):
+                cell = {"motion": motion, "surroundings": 0, "moments.features": features}
+                cell["moments.optimised"] = optimised
+                figure = compared("moment_tracking", "paper", "s_m", "moments", **cell)
+                printed = moment_paper.TABLES[name].get(features + word)
+                assert figure == (printed and printed.s_m)
 
 
 @pytest.mark.slow

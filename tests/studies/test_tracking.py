@@ -83,11 +83,8 @@ def test_generated_scenes_are_judged_too_where_there_are_some():
 
 
 def test_the_papers_distances_are_roots_of_squared_averages():
-    for which in ("RATES", "SIGMA"):
-        card, loc, all_ = (
-            getattr(tracking_paper, f"{what}_BY_{which}")
-            for what in ("CARDINALITY", "LOCALIZATION", "DISTANCE")
-        )
+    for printed in (tracking_paper.BY_RATES, tracking_paper.BY_SIGMA):
+        card, loc, all_ = (printed[what] for what in ("cardinality", "localization", "distance"))
         for who in ("CSHT", "Kalman"):
             np.testing.assert_allclose(np.hypot(card[who], loc[who]), all_[who], atol=0.008)
 

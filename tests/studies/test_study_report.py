@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from jaxtrack.cli import main
-from jaxtrack.studies import chunks, report, report_runs, run, summary
+from jaxtrack.studies import chunks, report_runs, run, study_report, summary
 from jaxtrack.studies.design import read_design
-from jaxtrack.studies.page import folded, table
+from jaxtrack.studies.html_page import folded, table
 from jaxtrack.studies.page_curves import steps
 from jaxtrack.studies.report_runs import trials_for
 from tests.studies.own_study import FILE, bytes_in, written
@@ -36,7 +36,7 @@ def whole(ran):
 
 
 def page_of(outcome, folder):
-    return checked(report.report_of(outcome, folder))
+    return checked(study_report.report_of(outcome, folder))
 
 
 def test_a_complete_study_is_reported_by_a_command(ran, tmp_path, capsys):
@@ -81,7 +81,7 @@ def test_the_table_has_every_mean_and_paired_difference(whole, ran):
 
 
 def test_what_a_user_wrote_is_shown_and_not_obeyed(whole, ran):
-    text = report.report_of(whole, ran / "whole")
+    text = study_report.report_of(whole, ran / "whole")
     assert "<script>alert" not in text
     assert FILE.strip() in checked(text).text
     assert "# a < b & <script>alert(1)</script>" in checked(text).text
@@ -149,7 +149,7 @@ def test_axes_have_round_numbers_around_what_is_drawn():
 
 
 def test_the_atlas_comes_with_all_maps_and_shows_the_first(whole, ran):
-    text = report.report_of(whole, ran / "whole")
+    text = study_report.report_of(whole, ran / "whole")
     page = checked(text)
     data = json.loads(re.search(r'id="atlas-data">(.*?)</script>', text, re.DOTALL)[1])
     maps = {(one["metric"], one["what"]): one for one in data["maps"]}
@@ -195,12 +195,14 @@ def test_how_many_runs_is_reckoned_from_the_cell_known_least_and_from_the_pairs(
     mean = whole.found.mean["shrunk.error_m"].values.ravel()
     cell = errors.values.argmax()
     spread = errors.values.ravel()[cell] * np.sqrt(40)
-    line = of("error_m: trials for a standard error")[2]
+    heads, _, line = of("error_m: trials for a standard error")
     assert line[:2] == ["shrunk", "sigma_m 4, shrunk.factor 1, shrunk.kind median"]
     number = lambda text: float(text.replace("\xa0", ""))
     assert number(line[3]) == pytest.approx(spread, rel=6e-3)
     assert number(line[5]) == np.ceil((spread / (0.01 * mean[cell])) ** 2)
-    assert number(line[6]) == pytest.approx(160, abs=10)  # half of the error that it has
+    wanted = float(heads[6].removeprefix("for\n"))  # half of the error that it has, in two digits
+    assert wanted == pytest.approx(errors.values.max() / 2, rel=0.05)
+    assert number(line[6]) == pytest.approx((spread / wanted) ** 2, rel=0.01)
     lines = of("error_m: trials until the paired difference from mean")[1:]
     assert len(lines) == 12
     for _, _, difference, away, trials, _ in lines:
@@ -213,14 +215,14 @@ def test_how_many_runs_is_reckoned_from_the_cell_known_least_and_from_the_pairs(
 
 
 def test_the_wanted_error_is_the_one_that_the_study_stops_at(tmp_path):
-    text = FILE.replace(
-        "micro_batch = 4", 'micro_batch = 4\nuntil = { metric = "error_m", se = 0.07 }'
-    )
+    until = 'until = { metric = "error_m", se = 0.07125 }'
+    text = FILE.replace("micro_batch = 4", f"micro_batch = 4\n{until}")
     run.run_study(read_design(written(tmp_path, text)), tmp_path / "until")
     page = page_of(run.status_of(tmp_path / "until"), tmp_path / "until")
-    first = next(a for tag, a in page.tags if a.get("data-runs") == "runs-0")
-    assert first["value"] == "0.07"
-    assert "or until the standard errors of error_m are 0.07" in page.text
+    table = next(t for t in page.tables if t["caption"].startswith("error_m: trials for"))
+    assert "0.07125 is what the study asks for" in table["caption"]
+    assert table["rows"][0][6] == "for\n0.07125"
+    assert "or until the standard errors of error_m are 0.0712" in page.text
 
 
 def timed(ran, folder, times):
@@ -261,7 +263,7 @@ def test_the_page_tells_how_it_was_made_and_how_to_make_it_again(whole, ran):
 
 def test_a_folder_that_cannot_be_written_is_one_line(ran, tmp_path, capsys):
     folder = shutil.copytree(ran / "whole", tmp_path / "whole")
-    (folder / report.FILE).mkdir()
+    (folder / study_report.FILE).mkdir()
     assert main(["study", "report", str(folder)]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
 

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from jaxtrack import plots, studies
 from jaxtrack.cli import main
-from jaxtrack.studies import Study, results_page, shown, store, tables
+from jaxtrack.studies import Study, papers_report, shown, store, tables
 from jaxtrack.studies.tables import Mark, Row
 from tests.studies.reading import checked
 
@@ -67,7 +67,7 @@ def out(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def page(out):
-    return checked((out / results_page.FILE).read_text())
+    return checked((out / papers_report.FILE).read_text())
 
 
 def test_the_command_ends_with_the_page_and_its_size(tmp_path, capsys):
@@ -127,8 +127,8 @@ def test_a_figure_without_words_is_told_by_its_name(out, tmp_path):
     for name in (shown.FILE, store.SUMMARY):
         (tmp_path / "nht" / name).write_bytes((out / "nht" / name).read_bytes())
     (tmp_path / "nht" / "figure_07_votes.png").write_bytes(b"\x89PNG\r\n\x1a\n")
-    (found,) = results_page.found_in(tmp_path, {"nht": NHT, "ccm": CCM})
-    page = checked(results_page.page_of([found]))
+    (found,) = papers_report.found_in(tmp_path, {"nht": NHT, "ccm": CCM})
+    page = checked(papers_report.page_of([found]))
     assert [a["alt"] for tag, a in page.tags if tag == "img"] == ["figure 07 votes"]
 
 
@@ -151,4 +151,4 @@ def test_what_is_printed_is_kept_and_printed_all_the_same():
 def test_a_folder_of_an_older_version_is_left_out(tmp_path):
     (tmp_path / "nht").mkdir()
     (tmp_path / "nht" / store.SUMMARY).write_text(json.dumps({"marks": []}))
-    assert results_page.found_in(tmp_path, {"nht": NHT}) == []
+    assert papers_report.found_in(tmp_path, {"nht": NHT}) == []

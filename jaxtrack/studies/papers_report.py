@@ -6,8 +6,8 @@ import struct
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from jaxtrack.studies import page, shown
-from jaxtrack.studies.page import Html, Section, joined, tag
+from jaxtrack.studies import html_page, shown
+from jaxtrack.studies.html_page import Html, Section, joined, tag
 from jaxtrack.studies.registry import Study
 from jaxtrack.studies.store import SUMMARY
 from jaxtrack.studies.tables import FAILS, PASS, SMOKE, duration, number
@@ -30,7 +30,7 @@ def write_page(out: pathlib.Path, studies: Mapping[str, Study]) -> str:
     Raises:
         OSError: it cannot be written.
     """
-    return page.write(out / FILE, page_of(found_in(out, studies)))
+    return html_page.write(out / FILE, page_of(found_in(out, studies)))
 
 
 def found_in(out: pathlib.Path, studies: Mapping[str, Study]) -> list[Found]:
@@ -58,14 +58,14 @@ def page_of(found: Sequence[Found]) -> str:
         "marks that were fixed beforehand. A mark is missed when the whole 95 % interval lies on "
         "its wrong side; below twenty trials there is no verdict (smoke).",
     )
-    return page.document("jaxtrack: results", lead, [overview, *sections])
+    return html_page.document("jaxtrack: results", lead, [overview, *sections])
 
 
 def _overview(found: Sequence[Found]) -> Html:
     count = lambda one, word: str(sum(mark["verdict"] == word for mark in one.marks))
     rows = [
         (
-            page.link(one.study.name, one.study.name),
+            html_page.link(one.study.name, one.study.name),
             one.study.title,
             str(one.about["trials"]),
             duration(one.about["seconds"]),
@@ -75,7 +75,7 @@ def _overview(found: Sequence[Found]) -> Html:
         for one in found
     ]
     heads = ("study", "what", "trials", "time", "reached", "missed", "smoke", "ended")
-    parts = [page.table("studies", "Studies in this folder", heads, rows, left=(1,))]
+    parts = [html_page.table("studies", "Studies in this folder", heads, rows, left=(1,))]
     for word, title in ((FAILS, "Marks missed"), (PASS, "Marks reached")):
         lines = [_mark(one, mark) for one in found for mark in one.marks if mark["verdict"] == word]
         if not lines:
@@ -83,8 +83,8 @@ def _overview(found: Sequence[Found]) -> Html:
             continue
         heads = ("mark", "study", "ours", "95 %", "wanted", "paper")
         title = f"{title}: {len(lines)}"
-        listed = page.table(f"marks-{word}", title, heads, lines, left=(1, 5))
-        parts.append(listed if word == FAILS else page.details(title, listed))
+        listed = html_page.table(f"marks-{word}", title, heads, lines, left=(1, 5))
+        parts.append(listed if word == FAILS else html_page.details(title, listed))
     return joined(parts)
 
 
@@ -93,7 +93,7 @@ def _mark(one: Found, mark: Mapping[str, Any]) -> tuple[str, ...]:
     told = lambda name: number(float("nan") if mark[name] is None else mark[name], unit)
     way = next(sign for sign in (">=", "<=") if sign in mark)
     return (
-        page.link(_place(one, mark["what"]), mark["what"]),
+        html_page.link(_place(one, mark["what"]), mark["what"]),
         one.study.name,
         told("value"),
         f"{told('lower')} … {told('upper')}",
@@ -119,7 +119,7 @@ def _tables(one: Found) -> Iterator[tuple[str, Mapping[str, Any]]]:
 
 def _study(one: Found) -> Html:
     about, name = one.about, one.study.name
-    facts = page.facts(
+    facts = html_page.facts(
         {
             "source": one.study.source,
             "trials": f"{about['trials']} a cell; in full {one.study.trials_full}",
@@ -140,7 +140,7 @@ def _study(one: Found) -> Html:
         at = f"{name}-table-{place}"
         table = tables[at]
         title = table["title"] or f"Table {place}"
-        parts.append(page.table(at, title, table["heads"], table["rows"], left=table["left"]))
+        parts.append(html_page.table(at, title, table["heads"], table["rows"], left=table["left"]))
     files = sorted(one.folder.glob("*.png"))
     if files:
         parts += [tag("h3", "Figures"), tag("div", *map(_picture, files), class_="gallery")]
@@ -152,7 +152,7 @@ def _picture(file: pathlib.Path) -> Html:
     words = texts_in(png)
     plain = file.stem.replace("_", " ")
     title = words.get("Title", plain)
-    return page.picture(png, words.get("Description", plain), f"{title} ({file.name})")
+    return html_page.picture(png, words.get("Description", plain), f"{title} ({file.name})")
 
 
 def texts_in(png: bytes) -> dict[str, str]:

@@ -179,7 +179,7 @@ def document(title: str, lead: str, sections: Sequence[Section], script: str = "
         tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
         tag("meta", name="color-scheme", content="light dark"),
         tag("title", title),
-        tag("style", Html(_HERE.with_name("page.css").read_text(encoding="utf-8"))),
+        tag("style", Html(_HERE.with_name("html_page.css").read_text(encoding="utf-8"))),
     )
     contents = (tag("li", link(section.name, section.title)) for section in sections)
     parts = (
@@ -193,7 +193,7 @@ def document(title: str, lead: str, sections: Sequence[Section], script: str = "
         for section in sections
     )
     made = f"Made by jaxtrack {version}, {now:%Y-%m-%d %H:%M} UTC."
-    own = _HERE.with_name("page.js").read_text(encoding="utf-8")
+    own = _HERE.with_name("html_page.js").read_text(encoding="utf-8")
     body = tag(
         "body",
         tag("a", "To the contents", href="#main", class_="skip"),

@@ -7,9 +7,17 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from jaxtrack.studies import chunks, page, page_atlas, report_figures, report_runs, summary
+from jaxtrack.studies import (
+    chunks,
+    html_page,
+    page_atlas,
+    report_compared,
+    report_figures,
+    report_runs,
+    summary,
+)
 from jaxtrack.studies.design import Design, Part
-from jaxtrack.studies.page import Html, Section, joined, tag
+from jaxtrack.studies.html_page import Html, Section, joined, tag
 from jaxtrack.studies.run import Outcome
 from jaxtrack.studies.tables import plus_minus
 
@@ -29,7 +37,7 @@ def write_report(outcome: Outcome, folder: pathlib.Path) -> str:
     Raises:
         OSError: it cannot be written.
     """
-    return page.write(folder / FILE, report_of(outcome, folder))
+    return html_page.write(folder / FILE, report_of(outcome, folder))
 
 
 def report_of(outcome: Outcome, folder: pathlib.Path) -> str:
@@ -39,21 +47,33 @@ def report_of(outcome: Outcome, folder: pathlib.Path) -> str:
     if found is not None:
         rows = list(summary.rows(design, found))
         sections.append(Section("results", "Results", _results(rows, found.trials)))
+        others = compared(outcome)
+        if others:
+            body = report_compared.section(design, others)
+            sections.append(Section("compared", "Beside other figures", body))
         figures = report_figures.figures(design, found)
         if figures:
             sections.append(Section("figures", "Figures", figures))
         maps = report_figures.maps(design, found)
         if maps:
             sections.append(Section("atlas", "Atlas", page_atlas.atlas(maps)))
-            script += page_atlas.SCRIPT.read_text(encoding="utf-8")
+            script = page_atlas.SCRIPT.read_text(encoding="utf-8")
         runs = report_runs.runs(design, rows, found.trials, report_runs.rate_of(outcome.store))
         sections.append(Section("runs", "How many runs do I need", runs))
-        script += report_runs.SCRIPT.read_text(encoding="utf-8")
     title = "The study's file"
-    sections.append(Section("file", title, page.code(design.text.strip(), title)))
+    sections.append(Section("file", title, html_page.code(design.text.strip(), title)))
     sections.append(Section("made", "How it was made", _made(outcome)))
     sections.append(Section("again", "How to run it again", _again(outcome, folder)))
-    return page.document(f"Study {folder.resolve().name}", _lead(outcome, folder), sections, script)
+    title = f"Study {folder.resolve().name}"
+    return html_page.document(title, _lead(outcome, folder), sections, script)
+
+
+def compared(outcome: Outcome) -> dict[str, list[report_compared.Line]]:
+    """Return the results beside what the study's file compares them with, by metric."""
+    if outcome.found is None:
+        return {}
+    shares = [name for name, array in outcome.store.arrays.items() if array.dtype == bool]
+    return report_compared.compared(outcome.design, outcome.found, shares)
 
 
 def table_of(rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]], int]:
@@ -78,6 +98,10 @@ def _lead(outcome: Outcome, folder: pathlib.Path) -> Html:
     if design.until is not None:
         rule = f", or until the standard errors of {design.until.metric} are {design.until.se:g}"
     parts = [tag("p", f"{trials} of {design.trials} trials{rule}, seed {design.seed}.")]
+    verdicts = report_compared.count(compared(outcome))
+    if verdicts:
+        more = html_page.link("compared", "beside other figures")
+        parts.append(tag("p", f"{verdicts[0].upper()}{verdicts[1:]}: ", more, "."))
     if not outcome.complete:
         resume = tag("code", f"jaxtrack study resume {shlex.quote(str(folder))}")
         parts.append(tag("p", tag("strong", "Not complete."), " To go on: ", resume, class_="note"))
@@ -99,9 +123,9 @@ def _results(rows: Sequence[Mapping[str, Any]], trials: int) -> Html:
             "A column with a minus is a paired difference: what the method has more than the first "
             "one, on the same draws. Its error is that of the pairs.",
         )
-    shown = page.table("table", caption, heads, cells, fields=fields)
+    shown = html_page.table("table", caption, heads, cells, fields=fields)
     return joined(
-        [words, page.folded("Means and paired differences", shown, len(cells), is_open=True)]
+        [words, html_page.folded("Means and paired differences", shown, len(cells), is_open=True)]
     )
 
 
@@ -113,7 +137,7 @@ def _made(outcome: Outcome) -> Html:
     rate = report_runs.rate_of(store)
     known = ("jaxtrack", "jax", "jaxlib", "numpy", "xarray", "zarr")
     versions = ", ".join(f"{name} {about[name]}" for name in known if name in about)
-    return page.facts(
+    return html_page.facts(
         {
             "trials stored": f"{min(len(times) * design.chunk, design.trials)}, by {design.chunk}",
             "first stored": _when(min(times)) if times else None,
@@ -159,7 +183,7 @@ def _again(outcome: Outcome, folder: pathlib.Path) -> Html:
         "The results are the same bit for bit with these versions, this seed and micro-batch on a "
         "processor with the same instruction sets, whatever the number of devices."
     )
-    return joined([tag("p", f"{words}."), page.code(commands, "Commands"), tag("p", same)])
+    return joined([tag("p", f"{words}."), html_page.code(commands, "Commands"), tag("p", same)])
 
 
 def _parts(design: Design) -> tuple[Part, ...]:
