@@ -61,6 +61,7 @@ def reproduce(
 
     from jaxtrack.studies import STUDIES, Context, shown
     from jaxtrack.studies.papers_report import write_page
+    from jaxtrack.studies.parts import FOLDER
     from jaxtrack.studies.tables import duration
 
     console, errors = console_of_tables(), Console(stderr=True)
@@ -107,6 +108,7 @@ def reproduce(
             "devices": kind,
             "command": f"jaxtrack reproduce {study.name} --trials {count} --seed {seed}"
             f" --out {shlex.quote(str(out))}",
+            "resumed": (folder / FOLDER).exists(),
         }
         begun = time.perf_counter()
         with progress(errors) as report, shown.recorded(console) as seen:

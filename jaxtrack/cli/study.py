@@ -194,10 +194,10 @@ def progress_text(progress: "Progress") -> str:
 
 def _show(outcome: "Outcome", folder: pathlib.Path) -> None:
     """Print how far a study is, its table, and how to go on."""
-    from rich.table import Table
-
     from jaxtrack.studies import summary
-    from jaxtrack.studies.study_report import table_of
+    from jaxtrack.studies.report_compared import count
+    from jaxtrack.studies.study_report import compared, table_of
+    from jaxtrack.studies.tables import beneath
 
     console = console_of_tables()
     design, found = outcome.design, outcome.found
@@ -207,13 +207,14 @@ def _show(outcome: "Outcome", folder: pathlib.Path) -> None:
         rule = f", or until the standard errors of {design.until.metric} are {design.until.se:g}"
     console.print(f"{folder}: {trials} of {design.trials} trials{rule}", highlight=False)
     if found is not None:
-        heads, rows, _ = table_of(list(summary.rows(design, found)))
-        table = Table(box=None, pad_edge=False)
-        for head in heads:
-            table.add_column(head, justify="left" if head == "method" else "right")
-        for row in rows:
-            table.add_row(*row)
-        console.print(table, markup=False)
+        heads, rows, fields = table_of(list(summary.rows(design, found)))
+        whole = not console.is_terminal and "COLUMNS" not in os.environ
+        width = None if whole else console.width
+        for table in beneath(heads, rows, fields=fields, width=width):
+            console.print(table, markup=False, crop=not whole)
+    verdicts = count(compared(outcome))
+    if verdicts:
+        console.print(f"{verdicts}; the report has them all", highlight=False)
     if outcome.damaged:
         numbers = ", ".join(map(str, outcome.damaged))
         console.print(f"damaged, computed again when resumed: chunk {numbers}", highlight=False)

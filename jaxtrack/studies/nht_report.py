@@ -123,7 +123,8 @@ def means(scores: xr.Dataset, title: str, *, match_m: float) -> Table:
             at = cell.sel(situation=situation)
             counts = "/".join(f"{float(at[k]):.2f}" for k in ("found", "false", "redundant"))
             known = np.isfinite(float(at["found"]))
-            errors = f"{float(at.rho_rmse_m):.1f} m {float(at.theta_rmse_rad):.4f}"
+            rho_m, theta_rad = float(at.rho_rmse_m), float(at.theta_rmse_rad)
+            errors = f"{rho_m:.1f} m {theta_rad:.4f}" if np.isfinite(rho_m) else "none matched"
             line.append(f"{counts}\n{errors}" if known else "–")
         cells.append(line)
     return grid_table(title, names, situations, cells, trials=int(scores.trials.min()))

@@ -68,7 +68,7 @@ def _overview(found: Sequence[Found]) -> Html:
             html_page.link(one.study.name, one.study.name),
             one.study.title,
             str(one.about["trials"]),
-            duration(one.about["seconds"]),
+            _time(one.about),
             *(count(one, word) for word in (PASS, FAILS, SMOKE)),
             one.about["ended"],
         )
@@ -124,7 +124,7 @@ def _study(one: Found) -> Html:
             "source": one.study.source,
             "trials": f"{about['trials']} a cell; in full {one.study.trials_full}",
             "seed": str(about["seed"]),
-            "time": f"{duration(about['seconds'])}, compilation included; ended {about['ended']}",
+            "time": f"{_time(about)}, compilation included; ended {about['ended']}",
             "versions": about["versions"],
             "devices": about["devices"],
             "to run it again": about["command"],
@@ -145,6 +145,12 @@ def _study(one: Found) -> Html:
     if files:
         parts += [tag("h3", "Figures"), tag("div", *map(_picture, files), class_="gallery")]
     return joined(parts)
+
+
+def _time(about: Mapping[str, Any]) -> str:
+    """Return how long a run took; of one that was resumed only the last session is known."""
+    rest = " since it was resumed" if about.get("resumed") else ""
+    return f"{duration(about['seconds'])}{rest}"
 
 
 def _picture(file: pathlib.Path) -> Html:

@@ -143,7 +143,8 @@ def marks_table(title: str, rows: Sequence[Row]) -> Table:
     """Return a table of ours, the paper's words, the mark and the verdict."""
     table = Table(title=title, title_justify="left")
     for heading in ("", "ours", "95 %", "trials", "paper", "mark", "verdict"):
-        table.add_column(heading, justify="left" if heading in ("", "paper") else "right")
+        side = "left" if heading in ("", "paper") else "right"
+        table.add_column(heading, justify=side, overflow="fold")
     for row in rows:
         word = verdict(row.ours, row.mark)
         table.add_row(
@@ -193,12 +194,52 @@ def grid_table(
     """
     title = f"{title}, {trials} trials" + (f": {SMOKE}" if trials < SMOKE_BELOW else "")
     table = Table(title=title, title_justify="left")
-    table.add_column("")
+    table.add_column("", overflow="fold")
     for column in columns:
-        table.add_column(column, justify="right")
+        table.add_column(column, justify="right", overflow="fold")
     for name, line in zip(rows, cells, strict=True):
         table.add_row(name, *line)
     return table
+
+
+def beneath(
+    heads: Sequence[str], rows: Sequence[Sequence[str]], *, fields: int, width: int | None
+) -> list[Table]:
+    """Return a table without frames; columns that do not fit go into further ones, with the fields.
+
+    Args:
+        heads: of the columns, fields first.
+        rows: cells.
+        fields: how many columns name a row; they stand in every table.
+        width: of a line; None: as wide as it gets.
+
+    Example:
+        >>> rows = [["joint", "1.25 ± .03", "2.50 ± .04"]]
+        >>> tables = beneath(["method", "error_m", "false"], rows, fields=1, width=20)
+        >>> [[str(column.header) for column in table.columns] for table in tables]
+        [['method', 'error_m'], ['method', 'false']]
+    """
+    gap = 2
+    sizes = [max(map(len, column)) + gap for column in zip(heads, *rows, strict=True)]
+    parts: list[list[int]] = [[]]
+    for column in range(fields, len(heads)):
+        wanted = sum(sizes[n] for n in (*range(fields), *parts[-1], column)) - gap
+        if parts[-1] and width is not None and wanted > width:
+            parts.append([])
+        parts[-1].append(column)
+    tables = []
+    for part in parts:
+        table = Table(box=None, pad_edge=False)
+        chosen = (*range(fields), *part)
+        for column in chosen:
+            least = None if width is not None else sizes[column] - gap
+            side = "right" if column else "left"
+            table.add_column(heads[column], justify=side, overflow="fold", min_width=least)
+        for row in rows:
+            if any(row[column] for column in part):
+                table.add_row(*(row[column] for column in chosen))
+        tables.append(table)
+    return tables
 
 
 def number(value: float, unit: str = "") -> str:

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from jaxtrack import plots, studies
 from jaxtrack.cli import main
-from jaxtrack.studies import Study, papers_report, shown, store, tables
+from jaxtrack.studies import Study, papers_report, parts, shown, store, tables
 from jaxtrack.studies.tables import Mark, Row
 from tests.studies.reading import checked
 
@@ -86,6 +86,15 @@ def test_the_page_has_all_studies_of_the_folder_also_those_of_earlier_commands(p
     assert ccm[4:7] == ["0", "0", "0"]
     for words in ("A paper", "7", "in full 5000", "jaxtrack reproduce nht --trials 50 --seed 7"):
         assert words in page.text
+
+
+def test_a_resumed_study_tells_the_time_of_its_last_session(page, tmp_path):
+    assert "since it was resumed" not in page.text
+    (tmp_path / "nht" / parts.FOLDER).mkdir(parents=True)
+    reproduced(tmp_path)
+    text = checked((tmp_path / papers_report.FILE).read_text()).text
+    assert len(re.findall(r"\d s since it was resumed, compilation included; ended", text)) == 1
+    assert len(re.findall(r"\d s, compilation included; ended", text)) == 1  # the other one
 
 
 def test_tables_are_those_of_the_console(page):

@@ -114,3 +114,30 @@ def test_rows_become_entries_of_a_summary():
     assert entry[">="] == 0.97
     assert entry["trials"] == 40
     assert "<=" in tables.entry(Row("", tables.rate(1, 40), "", Mark(0.1, at_least=False)))
+
+
+def test_columns_that_do_not_fit_stand_beneath_and_nothing_is_cut():
+    heads = ["method", "sigma_m", "error_m", "beyond", "error_m - mean"]
+    rows = [["mean", "1.0", "1.25 ± .03", ".312 ± .008", ""],
+            ["joint", "1.0", "1.15 ± .03", ".212 ± .008", "-.10 ± .01"]]  # fmt: skip
+    for width in (31, 40, 60, None):
+        found = tables.beneath(heads, rows, fields=2, width=width)
+        console = Console(width=width or 200)
+        with console.capture() as capture:
+            for table in found:
+                console.print(table)
+        text = capture.get()
+        assert {31: 3, 40: 2, 60: 1, None: 1}[width] == len(found)
+        assert all(cell in text for line in (heads, *rows) for cell in line)
+        assert [len(table.rows) for table in found] == {1: [2], 2: [2, 1], 3: [2, 2, 1]}[len(found)]
+    narrow = printed_at(12, tables.beneath(heads, rows, fields=2, width=12)[0])
+    assert "…" not in narrow
+    grid = tables.grid_table("", ["joint"], ["a_long_word_without_an_end"], [["1.25"]], trials=30)
+    assert "…" not in printed_at(20, grid)
+
+
+def printed_at(width, table):
+    console = Console(width=width)
+    with console.capture() as capture:
+        console.print(table)
+    return capture.get()
