@@ -6,9 +6,7 @@ from typing import NamedTuple
 
 from jaxtrack.studies.html_page import Html, tag
 
-# Okabe and Ito's colours, which the colour-blind tell apart, dark enough for white.
-_COLOURS = ("#0072B2", "#D55E00", "#007a59", "#a85a8a", "#8a6100", "#2f7ea8", "#000000", "#7a7a7a")
-MOST_CURVES = len(_COLOURS)
+MOST_CURVES = 8  # so many colours has the style
 # Outlines around a point; the last ones repeat, in other colours.
 _MARKS = (
     "M-3.2 0a3.2 3.2 0 1 0 6.4 0a3.2 3.2 0 1 0 -6.4 0",
@@ -165,9 +163,11 @@ def _stroke(spots: Sequence[tuple[float, float]], number: int) -> Html | None:
     if len(spots) < 2:
         return None
     way = "L".join(f"{x:.1f} {y:.1f}" for x, y in spots)
-    return tag("path", d=f"M{way}", fill="none", stroke=_COLOURS[number], stroke_width="1.4")
+    thin = {"fill": "none", "stroke": "currentColor", "stroke_width": "1.4"}
+    return tag("path", d=f"M{way}", class_=f"c{number}", **thin)
 
 
 def _mark(x: float, y: float, number: int) -> Html:
     shape = _MARKS[number % len(_MARKS)]
-    return tag("path", d=shape, transform=f"translate({x:.1f} {y:.1f})", fill=_COLOURS[number])
+    at = f"translate({x:.1f} {y:.1f})"
+    return tag("path", d=shape, transform=at, fill="currentColor", class_=f"c{number}")

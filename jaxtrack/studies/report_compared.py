@@ -5,6 +5,7 @@ of the study, the interval is that of the paired difference. See `tables.verdict
 """
 
 import math
+import re
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -71,7 +72,7 @@ def compared(
             for one in mine:
                 figure = one.at(cell.fields) if cell.method in one.methods else None
                 if figure is not None:
-                    against, text = interval, str(figure)
+                    against, text = interval, _text(figure)
                     if one.variable is not None:
                         against = mean(*known(summary.difference(name, figure)), found.trials)
                         figure, text = 0.0, plus_minus(*known(figure))
@@ -80,6 +81,11 @@ def compared(
                 line = Line(cell.method, cell.fields, ours, interval, tuple(beside))
                 lines.setdefault(metric.name, []).append(line)
     return lines
+
+
+def _text(figure: Any) -> str:
+    """Return a figure as it was printed, without a leading zero, as all tables have it."""
+    return figure if isinstance(figure, str) else re.sub(r"^(-?)0\.", r"\1.", str(figure))
 
 
 def _interval(value: float, error: float, trials: int, *, share: bool) -> Figure:

@@ -94,7 +94,7 @@ def test_ours_stand_beside_the_others_with_verdicts(ran):
     heads, *lines = tables["error_m: ours and others"]
     fields = ["method", "sigma_m", "shrunk.factor", "shrunk.kind"]
     assert heads == [*fields, "ours", "95 %", "paper", "rival", "verdict"]
-    assert [line[6] for line in lines if line[6]] == ["poor", "0.18", "0.36", "0.71"]
+    assert [line[6] for line in lines if line[6]] == ["poor", ".18", ".36", ".71"]
     means = values["mean.error_m"].mean(-1)
     seen = set()
     for place, line in zip(np.ndindex(2, 3, 2), lines[1:], strict=True):  # the mean of σ 4 is first
@@ -123,14 +123,14 @@ def test_shares_have_wilsons_interval_and_the_page_counts_verdicts(ran):
         p = hits.mean()
         middle = (p + z * z / (2 * n)) / (1 + z * z / n)
         reach = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
-        bound = {"≤ 0.5": 0.5, "≤ 0.1": 0.1}[line[7]]
+        bound = {"≤ .5": 0.5, "≤ .1": 0.1}[line[7]]
         assert line[8] == ("pass" if middle - reach <= bound else "fails")
         low, high = map(float, line[5].split(" … "))
         assert (low, high) == pytest.approx((middle - reach, middle + reach), abs=6e-4)
     words = [row[8] for name in ("error_m", "beyond") for row in tables[f"{name}: ours and others"]]
     told = f"Of what is wanted: {words.count('pass')} reached, {words.count('fails')} missed"
     assert told in text
-    assert {"≤ 0.5", "≤ 0.1"} == {line[7] for line in lines}
+    assert {"≤ .5", "≤ .1"} == {line[7] for line in lines}
 
 
 def test_few_trials_give_no_verdict(ran, tmp_path):

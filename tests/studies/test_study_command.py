@@ -241,7 +241,7 @@ def test_the_example_of_the_documentation_is_true(tmp_path):
     out = subprocess.run(command, env=single, **settings).stdout.splitlines()
     first = text.index("    results/middles")
     told = [line.strip() for line in text[first:].split("\n\n")[0].splitlines()]
-    assert len(out) == len(told) == 12
+    assert len(out) == len(told) == 13
     assert out[0] == told[0]
     assert out[1].split() == told[1].split()
     numbers = lambda line: [float(x) for x in re.findall(r"-?\d*\.\d+", line)]
