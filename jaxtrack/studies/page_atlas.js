@@ -15,7 +15,7 @@
     for (const value of values) select.append(made("option", { textContent: value, selected: value === chosen }));
     return select;
   };
-  const labelled = (title, part, more = []) => made("label", {}, title, part, ...more);
+  const labelled = (title, part) => made("label", {}, title, part);
   let map = maps[0], down = map.axes[0], across = map.axes[1];
   const at = {}; // where the sliders stand, by axis: kept when another map is chosen
 
@@ -52,7 +52,8 @@
       at[axis] = Math.min(at[axis] || 0, labels.length - 1);
       const slider = made("input", { type: "range", min: 0, max: labels.length - 1, step: 1, name: axis });
       slider.value = at[axis];
-      const shown = made("output", { textContent: labels[at[axis]] });
+      const shown = made("span", { textContent: labels[at[axis]] });
+      slider.setAttribute("aria-label", axis);
       slider.setAttribute("aria-valuetext", labels[at[axis]]);
       slider.addEventListener("input", () => {
         at[axis] = Number(slider.value);
@@ -60,7 +61,7 @@
         slider.setAttribute("aria-valuetext", labels[at[axis]]);
         draw();
       });
-      parts.push(labelled(axis, slider, [shown]));
+      parts.push(labelled(made("span", {}, `${axis} = `, shown), slider));
     });
     form.replaceChildren(...parts);
     if (focused) form.elements[focused].focus();

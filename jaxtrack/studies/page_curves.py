@@ -1,6 +1,7 @@
 """Curves with error bars as SVG inside a page: sharp on paper, without a library of figures."""
 
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -33,6 +34,7 @@ class Panel(NamedTuple):
 
     title: str
     curves: Mapping[str, Sequence[Point]]  # by a name in the key
+    others: Mapping[str, Sequence[Point]]  # what others found of the same, hollow
 
 
 def key(names: Sequence[str]) -> Html:
@@ -53,7 +55,8 @@ def panels(
         x_title: what runs along the axis.
         y_title: what is measured.
     """
-    points = [p for panel in shown for curve in panel.curves.values() for p in curve]
+    drawn = [curves for panel in shown for curves in (panel.curves, panel.others)]
+    points = [p for curves in drawn for curve in curves.values() for p in curve]
     known = [p for p in points if math.isfinite(p.mean)]
     reach = lambda p: p.reach if math.isfinite(p.reach) else 0.0
     low = min((p.mean - reach(p) for p in known), default=0.0)
@@ -108,19 +111,23 @@ def _frame(
     wide, high = _WIDTH - _LEFT - _RIGHT, _HEIGHT - _TOP - _BOTTOM
     x = lambda place: _LEFT + wide * place
     y = lambda value: _TOP + high * (1 - (value - ticks[0]) / (ticks[-1] - ticks[0]))
-    parts = []
+    parts, rows = [], 1
     for tick in ticks:
         parts.append(_line(_LEFT, y(tick), _WIDTH - _RIGHT, y(tick), class_="grid"))
         parts.append(_text(_LEFT - 5, y(tick) + 4, f"{tick:g}", "end"))
     last = -math.inf
     for place, label in sorted(zip(places, labels, strict=True)):
         parts.append(_line(x(place), _TOP + high, x(place), _TOP + high + 4, class_="axis"))
-        half = 3.2 * len(label)
+        lines = [label] if numeric else textwrap.wrap(label, max(int(wide / len(labels) / 6.4), 1))
+        half = 3.2 * max(map(len, lines))
         if x(place) - half > last:  # labels that would overlap are left out
-            parts.append(_text(x(place), _TOP + high + 15, label, "middle"))
-            last = x(place) + half + 4
+            for row, line in enumerate(lines):
+                parts.append(_text(x(place), _TOP + high + 15 + 12 * row, line, "middle"))
+            last = x(place) + half + (4 if numeric else 0)
+        rows = max(rows, len(lines))
+    deep = _HEIGHT + 12 * (rows - 1)
     parts.append(_line(_LEFT, _TOP + high, _WIDTH - _RIGHT, _TOP + high, class_="axis"))
-    parts.append(_text(_LEFT + wide / 2, _HEIGHT - 5, x_title, "middle"))
+    parts.append(_text(_LEFT + wide / 2, deep - 5, x_title, "middle"))
     parts.append(_text(_LEFT - 40, 13, panel.title, "start", font_weight="600"))
     told = []
     for name, curve in panel.curves.items():
@@ -135,13 +142,17 @@ def _frame(
         if numeric:
             parts.append(_stroke(sorted(spots), number))
         parts += [_mark(left, top, number) for left, top in spots]
-        values = ", ".join(f"{p.mean:.3g} at {labels[p.at]}" for p in known)
-        told.append(f"{name}: {values or 'nothing'}")
+        others = panel.others.get(name, ())
+        parts += [_mark(x(places[p.at]) + aside, y(p.mean), number, hollow=True) for p in others]
+        say = lambda points: ", ".join(f"{p.mean:.3g} at {labels[p.at]}" for p in points)
+        told.append(f"{name}: {say(known) or 'nothing'}")
+        if others:
+            told.append(f"others of {name}: {say(others)}")
     title = f"{y_title} against {x_title}" + (f", {panel.title}" if panel.title else "")
     return tag(
         "svg",
         *parts,
-        viewBox=f"0 0 {_WIDTH} {_HEIGHT}",
+        viewBox=f"0 0 {_WIDTH} {deep}",
         class_="curves",
         role="img",
         aria_label=f"{title}. {'; '.join(told)}.",
@@ -167,7 +178,8 @@ def _stroke(spots: Sequence[tuple[float, float]], number: int) -> Html | None:
     return tag("path", d=f"M{way}", class_=f"c{number}", **thin)
 
 
-def _mark(x: float, y: float, number: int) -> Html:
+def _mark(x: float, y: float, number: int, *, hollow: bool = False) -> Html:
     shape = _MARKS[number % len(_MARKS)]
-    at = f"translate({x:.1f} {y:.1f})"
-    return tag("path", d=shape, transform=at, fill="currentColor", class_=f"c{number}")
+    at = f"translate({x:.1f} {y:.1f})" + (" scale(1.4)" if hollow else "")
+    ink = {"fill": "none", "stroke": "currentColor"} if hollow else {"fill": "currentColor"}
+    return tag("path", d=shape, transform=at, class_=f"c{number}", **ink)

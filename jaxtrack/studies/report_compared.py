@@ -129,7 +129,7 @@ def section(design: Design, lines: Mapping[str, Sequence[Line]]) -> Html:
         mine = [one for one in design.compare if metric in one.metrics]
         names = list(dict.fromkeys(one.name for one in mine))
         parts.append(tag("h3", metric))
-        if missed:
+        if 0 < len(missed) < len(these):
             parts.append(_table(f"missed-{place}", f"{metric}: missed", missed, names))
         whole = _table(f"compared-{place}", f"{metric}: ours and others", these, names)
         parts.append(html_page.folded(f"{metric}, ours and others", whole, len(these)))

@@ -57,16 +57,21 @@ def _over(
         for words, at in _some(cells, each):
             name = ", ".join(filter(None, [method.name, words.replace(f"{method.name}.", "")]))
             curves[name] = f"{method.name}.{metric}", at
-    shown = []
+    shown, whose = [], set()
     for title, here in chosen:
-        drawn = {}
+        drawn, others = {}, {}
         for name, (variable, own) in curves.items():
             mean, error = (data[variable].isel(here | own) for data in (found.mean, errors))
             spots = range(len(values))
             take = lambda data, n: float(data.isel({field: n}) if field in data.dims else data)
             drawn[name] = [Point(n, take(mean, n), _REACH * take(error, n)) for n in spots]
-        shown.append(Panel(title, drawn))
+            printed = _printed(design, metric, variable.partition(".")[0], here | own, field)
+            whose |= {one for one, _ in printed}
+            others[name] = [point for _, point in printed]
+        shown.append(Panel(title, drawn, others))
     caption = f"{metric} over {field}. Bars reach {_REACH:.0f} standard errors to either side."
+    if whose:
+        caption += f" Hollow: {', '.join(sorted(whose))}."
     if left_out:
         caption += " Some cells are left out here; the table has all."
     labels = [str(value) for value in values]
@@ -76,6 +81,23 @@ def _over(
         panels(shown, list(curves), labels, field, metric),
         tag("figcaption", caption),
     )
+
+
+def _printed(
+    design: Design, metric: str, name: str, at: Mapping[str, int], field: str
+) -> list[tuple[str, Point]]:
+    """Return what the file puts beside a curve, and whose it is."""
+    (method,) = (method for method in design.methods if method.name == name)
+    axes = axes_of(design, method)
+    found = []
+    for place in range(len(axes.get(field, ()))):
+        fields = {axis: axes[axis][n] for axis, n in {**at, field: place}.items()}
+        for one in design.compare:
+            if metric in one.metrics and name in one.methods and one.kind == "value":
+                figure = one.at(fields)
+                if isinstance(figure, (int, float)):
+                    found.append((one.name, Point(place, figure, 0.0)))
+    return found
 
 
 def _cells(axes: Mapping[str, Sequence[Any]]) -> list[tuple[str, dict[str, int]]]:

@@ -153,4 +153,20 @@ def test_other_comparisons_go_with_the_same_results(ran, tmp_path):
     after = bytes_in(folder)
     differing = [name for name in before | after if before.get(name) != after.get(name)]
     assert differing == ["results.zarr/zarr.json"]
-    assert tables_of(run.status_of(folder))[0] == tables_of(ran[0])[0]
+    found, wanted = (tables_of(outcome)[0] for outcome in (run.status_of(folder), ran[0]))
+    names = [name for name in wanted if "others" in name or "missed" in name]
+    assert len(names) == 4
+    assert all(found[name] == wanted[name] for name in names)
+
+
+def test_curves_have_the_papers_points_hollow(ran):
+    outcome, _ = ran
+    page = checked(study_report.report_of(outcome, outcome.store.folder))
+    told = [a["aria-label"] for tag, a in page.tags if tag == "svg" and "aria-label" in a]
+    (over,) = [x for x in told if x.startswith("error_m against shrunk.factor, sigma_m 1.0")]
+    assert "others of shrunk, kind mean: 0.18 at 0.5, 0.36 at 1" in over
+    assert "others of shrunk, kind median" not in over
+    assert page.text.count("Hollow: paper.") == 3  # of the error, over each field
+    hollow = [a for tag, a in page.tags if tag == "path" and "scale" in a.get("transform", "")]
+    assert len(hollow) == 3 + 3 + 2  # over sigma_m two of six curves are left out
+    assert {a["fill"] for a in hollow} == {"none"}
