@@ -92,6 +92,22 @@ def test_the_papers_table_2_is_whole():
     assert set(nht_report.WORDS) == set(nht.PRIMARY)
 
 
+def test_errors_of_lines_that_match_nothing_are_no_numbers():
+    methods = list(nht_report.FORMS)
+    forms = sorted({form for forms in nht_report.FORMS.values() for form in forms})
+    dims = ("match", "situation", "estimator", "peaks")
+    whole = lambda value: (dims, np.full((1, 2, len(methods), len(forms)), value))
+    scores = xr.Dataset(
+        {name: whole(0.5) for name in ("found", "false", "redundant", "theta_rmse_rad")}
+        | {"rho_rmse_m": whole(2.0), "trials": whole(30)},
+        {"match": [50.0], "situation": ["I", "II"], "estimator": methods, "peaks": forms},
+    )
+    scores["rho_rmse_m"][0, 1] = scores["theta_rmse_rad"][0, 1] = np.nan
+    _, ideal, noise = nht_report.means(scores, "Lines", match_m=50.0).columns
+    assert set(ideal.cells) == {"0.50/0.50/0.50\n2.0 m 0.5000"}
+    assert set(noise.cells) == {"0.50/0.50/0.50\nnone matched"}
+
+
 def lines_of(truth, trials, votes=9.0, rho_error_m=0.0):
     """The true lines in every trial, and an empty table's rest."""
     path = jnp.swapaxes(truth.state[..., :2], 0, 1)
