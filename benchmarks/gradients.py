@@ -2,7 +2,8 @@
 
 The loss is read off the tracks of all looks, or of the last one alone; its gradient is in the
 detections of every look and in the tracker's numbers. Memory is what the compiled program asks for
-beside its arguments. Everything is in double precision, on one core as a rule. `make bench`.
+beside its arguments. Gradients go by `scan_in_segments`. Everything is in double precision, on one
+core as a rule. `make bench`.
 """
 
 import functools
@@ -19,6 +20,7 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
 from jaxtrack.filtering.resampling import soft  # noqa: E402
+from jaxtrack.numerics import scan_in_segments  # noqa: E402
 from jaxtrack.sensors import Radar, move, observe  # noqa: E402
 from jaxtrack.tracking import KalmanTrackerParams, kalman_tracker  # noqa: E402
 from jaxtrack.types import Stage  # noqa: E402
@@ -30,21 +32,15 @@ START = ((20.0, 20.0, 0.5, 0.4), (180.0, 30.0, -0.4, 0.5), (20.0, 180.0, 0.6, -0
 NUMBERS = (1.0, 0.1, 0.9, 1e-4)  # σ, σ_a, P_D, clutter
 TRUTH = move(jax.random.key(0), jnp.asarray(START), jnp.arange(float(LOOKS)))
 SCANS = observe(jax.random.key(1), TRUTH, RADAR, detections=PLACES)
-# JPDA's marginals are worth their place in memory: they are what costs.
-KEEP = jax.checkpoint_policies.save_only_these_names("jpda")
 PARTICLES = 256
+SCANNERS = scan_in_segments, jax.lax.scan
 AIM_TIME, AIM_MEMORY = 4.0, 3.0
 
 
-def kept(step):
-    """Return a step whose inner values are not kept for the gradient, but for JPDA's marginals."""
-    return jax.checkpoint(step, prevent_cse=False, policy=KEEP)
-
-
-def tracks(associator, wrap, numbers, position_m):
+def tracks(associator, scan, numbers, position_m):
     tracker = kalman_tracker(KalmanTrackerParams(*numbers), max_tracks=SLOTS, associator=associator)
     start = tracker.init(jax.random.key(0))
-    return jax.lax.scan(wrap(tracker.step), start, SCANS._replace(position_m=position_m))[1]
+    return scan(tracker.step, start, SCANS._replace(position_m=position_m))[1]
 
 
 def nearness(tracks, truth):
@@ -54,16 +50,16 @@ def nearness(tracks, truth):
     return jnp.where(there[..., None], jnp.exp(-squared / 8), 0.0).sum((1, 2))
 
 
-def kalman_loss(associator, wrap, last, numbers, position_m):
-    near = nearness(tracks(associator, wrap, numbers, position_m).tracks, TRUTH)
+def kalman_loss(associator, scan, last, numbers, position_m):
+    near = nearness(tracks(associator, scan, numbers, position_m).tracks, TRUTH)
     return near[-1] if last else near.mean()
 
 
-def particle_loss(wrap, last, numbers, z):
+def particle_loss(scan, last, numbers, z):
     """Return the particle filter's squared error: mean, or at the end."""
     model = Model(*numbers)
     filter = build(model, soft(mix=0.5), particles=PARTICLES, scored=False)
-    _, info = jax.lax.scan(wrap(filter.step), filter.init(jax.random.key(0)), z)
+    _, info = scan(filter.step, filter.init(jax.random.key(0)), z)
     squared = (info.mean[:, 0] - z) ** 2
     return squared[-1] if last else squared.mean()
 
@@ -83,10 +79,10 @@ def measured(*functions, repeats=15):
 
 
 def runs():
-    """Yield names, losses `(wrap, last, numbers, detections)`, runs with infos, and where."""
+    """Yield names, losses `(scan, last, numbers, detections)`, runs with infos, and where."""
     for associator in ("greedy", "optimal", "jpda", "belief_propagation", "pmht"):
         loss = functools.partial(kalman_loss, associator)
-        infos = functools.partial(tracks, associator, lambda step: step)
+        infos = functools.partial(tracks, associator, jax.lax.scan)
         yield f"Kalman, {associator}", loss, infos, (jnp.asarray(NUMBERS), SCANS.position_m)
 
     def run(numbers, z):
@@ -102,20 +98,20 @@ def cost():
         f"\n{LOOKS} looks; the Kalman trackers have {SLOTS} slots and {PLACES} places; gradient in "
         f"detections and numbers\n"
         f"{'':28}{'ms forward':>11}{'gradient':>10}{'ratio':>7}{'aim':>5}{'MB forward':>12}"
-        f"{'with infos':>12}{'gradient':>10}{'ratios':>12}{'aim':>5}{'not kept':>10}"
+        f"{'with infos':>12}{'gradient':>10}{'ratios':>12}{'aim':>5}{'plain scan':>12}"
     )
     for name, loss, infos, at in runs():
-        kept_loss, plain = (functools.partial(loss, wrap, False) for wrap in (kept, lambda s: s))
+        segmented, plain = (functools.partial(loss, scan, False) for scan in SCANNERS)
         (forward, back, _, _), (small, needed, whole, more) = measured(
-            (kept_loss, *at),
-            (jax.grad(kept_loss, (0, 1)), *at),
+            (plain, *at),
+            (jax.grad(segmented, (0, 1)), *at),
             (infos, *at),
             (jax.grad(plain, (0, 1)), *at),
         )
         ratios = f"{needed / small:.1f}, {needed / whole:.1f}"
         print(
             f"{name:28}{1e3 * forward:11.1f}{1e3 * back:10.1f}{back / forward:7.2f}{AIM_TIME:5.0f}"
-            f"{small:12.3f}{whole:12.3f}{needed:10.3f}{ratios:>12}{AIM_MEMORY:5.0f}{more:10.1f}"
+            f"{small:12.3f}{whole:12.3f}{needed:10.3f}{ratios:>12}{AIM_MEMORY:5.0f}{more:12.1f}"
         )
 
 
@@ -128,7 +124,7 @@ def norms():
     )
     for name, loss, _, at in runs():
         for last, what in ((False, "all"), (True, "last")):
-            of = functools.partial(loss, kept, last)
+            of = functools.partial(loss, scan_in_segments, last)
             numbers, by_look = jax.jit(jax.grad(of, (0, 1)))(*at)
             by_look = np.linalg.norm(np.asarray(by_look).reshape(LOOKS, -1), axis=1)
             around = [by_look[max(LOOKS - n - 5, 0) : LOOKS - n].max() for n in ago]

@@ -21,6 +21,7 @@ from jaxtrack.association.gating import (
 )
 from jaxtrack.association.ratios import likelihood_ratios
 from jaxtrack.numerics.checks import check_array, check_size
+from jaxtrack.numerics.segments import costly
 from jaxtrack.types import Array, Key, Scan
 
 _FEW = 32  # terms
@@ -86,13 +87,17 @@ def associate(
     """
     ratio, miss = likelihood_ratios(predicted, scan, params)
 
+    # Where no two tracks share a detection no message says anything.
+    shared = ((ratio > 0).sum(0) > 1).any()
+
     def alone(ratio: Array, miss: Array) -> tuple[Array, Array]:
-        missed = jnp.ones_like(miss)[:, None]
-        return jnp.concatenate([jnp.zeros_like(ratio), missed], axis=1), jnp.zeros((), ratio.dtype)
+        return pda.marginals(*_scaled(ratio, miss)), jnp.zeros((), ratio.dtype)
 
     # A branch, for what leads back out of one stands in memory: see `step.if_any`.
     propagate = functools.partial(_propagate, iterations=iterations)
-    found, moved = jax.lax.cond((ratio > 0).any(), propagate, alone, ratio, miss)
+    branches = (jax.checkpoint(f, prevent_cse=False) for f in (propagate, alone))
+    found, moved = jax.lax.cond(shared, *branches, ratio, miss)
+    found = costly(found)
     return Association(found[:, :-1], found[:, -1], moved < 1e-3)
 
 
@@ -101,16 +106,19 @@ def _propagate(weight: Array, miss: Array, iterations: int) -> tuple[Array, Arra
     check_array("likelihood_ratio", weight, shape=("T", "M"))
     check_array("miss", miss, shape=(weight.shape[0],))
     check_size("iterations", iterations)
-    # A row's scale is no matter, but of the largest numbers sums are none, nor reciprocals.
-    weight = jnp.minimum(weight, jnp.finfo(jnp.result_type(weight, float)).max / 1024)
-    largest = jax.lax.stop_gradient(weight.max(1, initial=0.0))
-    scale = jnp.where(largest > _LARGE, largest, 1.0)
-    weight, missed = weight / scale[:, None], pda.floored(miss / scale)
-
+    weight, missed = _scaled(weight, miss)
     before, after = _messages(weight, missed, iterations)
     found, last = (pda.marginals(weight * nu, missed) for nu in (after, before))
     moved = jnp.abs(jax.lax.stop_gradient(found - last)).max(initial=0.0)
     return found, moved
+
+
+def _scaled(weight: Array, miss: Array) -> tuple[Array, Array]:
+    # A row's scale is no matter, but of the largest numbers sums are none, nor reciprocals.
+    weight = jnp.minimum(weight, jnp.finfo(jnp.result_type(weight, float)).max / 1024)
+    largest = jax.lax.stop_gradient(weight.max(1, initial=0.0))
+    scale = jnp.where(largest > _LARGE, largest, 1.0)
+    return weight / scale[:, None], pda.floored(miss / scale)
 
 
 def _messages(weight: Array, missed: Array, iterations: int) -> tuple[Array, Array]:

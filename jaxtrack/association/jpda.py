@@ -11,7 +11,6 @@ so one pass and its reverse mode give all marginals, in O(M T 2^T) and without a
 
 import jax
 import jax.numpy as jnp
-from jax.ad_checkpoint import checkpoint_name
 
 from jaxtrack.association.gating import (
     Association,
@@ -21,6 +20,7 @@ from jaxtrack.association.gating import (
 from jaxtrack.association.pda import floored
 from jaxtrack.association.ratios import from_marginals, likelihood_ratios
 from jaxtrack.numerics.checks import check_array
+from jaxtrack.numerics.segments import costly
 from jaxtrack.types import Array, Key, Scan
 
 MAX_TRACKS = 10
@@ -31,7 +31,7 @@ def marginals(likelihood_ratio: Array, miss: Array) -> Array:
     """Return the probability of each detection, and last of the miss, for each track: [T, M + 1].
 
     Differentiable to any order, in reverse mode first; to policies of `jax.checkpoint` they are
-    "jpda". Rows may have any scale, in single precision as well: each is divided by its largest
+    "costly". Rows may have any scale, in single precision as well: each is divided by its largest
     weight, and what that does to a subset is put back in logarithms.
 
     Args:
@@ -66,7 +66,7 @@ def marginals(likelihood_ratio: Array, miss: Array) -> Array:
     scale = jnp.where(largest > jnp.finfo(dtype).tiny, largest, 1.0)
     weight = weight / scale[:, None]
     log_miss = jnp.log(floored(miss)) - jnp.log(scale)
-    per_weight, missed = (checkpoint_name(x, "jpda") for x in _slopes(weight, log_miss))
+    per_weight, missed = (costly(x) for x in _slopes(weight, log_miss))
     return jnp.concatenate([weight * per_weight, missed[:, None]], axis=1)
 
 
@@ -129,13 +129,15 @@ def _log_total(weight: Array, log_miss: Array) -> Array:
     def absorb(f: Array, ratio: Array) -> tuple[Array, None]:
         after = f
         for j in range(tracks):
-            taken = jax.lax.slice_in_dim(f, 0, 1, axis=j) * ratio[j]
-            after = after + jnp.concatenate([jnp.zeros_like(taken), taken], axis=j)
+            # Three axes, not T: the fewer, the faster the compiler's loops.
+            without = f.reshape(2**j, 2, -1)[:, :1] * ratio[j]
+            after = after + jnp.pad(without, ((0, 0), (1, 0), (0, 0))).reshape(-1)
         return after, None
 
-    nothing_yet = jnp.zeros((2,) * tracks, dtype).at[(0,) * tracks].set(1)
-    f, _ = jax.lax.scan(absorb, nothing_yet, weight.T)
-    others = _over_others(log_miss)
+    nothing_yet = jnp.zeros(2**tracks, dtype).at[0].set(1)
+    # Its parts are in f: what is kept of a detection for the way back is f alone.
+    f, _ = jax.lax.scan(jax.checkpoint(absorb, prevent_cse=False), nothing_yet, weight.T)
+    others = _over_others(log_miss).reshape(-1)
     peak = jax.lax.stop_gradient(jnp.where(f > 0, others, -jnp.inf).max())
     # Where no event leads f is zero, but weights that are zero have a gradient: a bound far above
     # every event keeps it, and keeps it finite.

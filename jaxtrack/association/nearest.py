@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtrack.association.gating import Association, AssociationParams, Gated, Predicted, gate
 from jaxtrack.numerics.assignment import pair_up
 from jaxtrack.numerics.masked import masked_argmin
+from jaxtrack.numerics.segments import decided
 from jaxtrack.types import Array, Key, Scan
 
 
@@ -157,6 +158,6 @@ def greedy_pairs(distance: Array, allowed: Array) -> Array:
 def _of(columns: Array, gated: Gated) -> Association:
     """Return the one-hot association in which track j takes detection columns[j], if inside."""
     every = jnp.arange(gated.inside.shape[1], dtype=jnp.int32)
-    taken = (every[None, :] == columns[:, None]) & gated.inside
+    taken = every[None, :] == decided(columns)[:, None]
     weight = taken.astype(gated.density_per_m2.dtype)
     return Association(weight, 1 - weight.sum(-1), jnp.asarray(True))

@@ -78,11 +78,12 @@ def if_any(
     """Return moments updated, or as they are where no slot holds a track.
 
     A branch is a unit to the compiler, and what leads back out of it stands in memory once. Without
-    one each gradient that needs it computes it anew, and all of them take three times as long.
+    one each gradient that needs it computes it anew, and all of them take three times as long. What
+    is inside is computed again on the way back: to bring all of it out of the branch takes longer.
     """
     at = there, mean, covariance, *more
     like = jax.eval_shape(update, *at)
     stay = lambda there, *moments: tuple(
         jnp.asarray(x, y.dtype) for x, y in zip(moments[:2], like, strict=True)
     )
-    return jax.lax.cond(there.any(), update, stay, *at)
+    return jax.lax.cond(there.any(), jax.checkpoint(update, prevent_cse=False), stay, *at)

@@ -3,7 +3,8 @@
 `safe` has elementary functions with finite gradients at their singular points and the reductions
 that are right under `jit(grad)`; `masked` has reductions that ignore padding; `assignment` has the
 linear assignment problem; `bijectors` takes constrained parameters to the reals and back; `checks`
-words the errors of shapes, dtypes and static arguments.
+words the errors of shapes, dtypes and static arguments; `segments` scans over many looks with
+gradients that take little memory.
 """
 
 from jaxtrack.numerics.assignment import Assignment, assign, pair_up
@@ -46,6 +47,7 @@ from jaxtrack.numerics.safe import (
     take_along,
     wrap_angle,
 )
+from jaxtrack.numerics.segments import costly, decided, scan_in_segments
 
 __all__ = [
     "Assignment",
@@ -58,6 +60,8 @@ __all__ = [
     "check_choice",
     "check_size",
     "choose",
+    "costly",
+    "decided",
     "definite_inverse",
     "greater",
     "identity",
@@ -82,6 +86,7 @@ __all__ = [
     "scaled_cholesky",
     "scaled_inverse",
     "scaled_root",
+    "scan_in_segments",
     "simplex",
     "step",
     "take_along",

@@ -33,6 +33,7 @@ from jaxtrack.numerics.checks import (
     sound,
 )
 from jaxtrack.numerics.safe import as_float, safe_log
+from jaxtrack.numerics.segments import decided
 from jaxtrack.tracking.filters import Filter, straight_filter
 from jaxtrack.tracking.lifecycle import LifecycleParams, check_lifecycle
 from jaxtrack.tracking.lives import Lives, Looked, hard_lives
@@ -184,7 +185,7 @@ def kalman_tracker(
             detect, number(params.clutter_per_m2), number(params.gate), number(params.echoes)
         )
         key, draw = jax.random.split(state.key)
-        confirmed = tracks.mask & (tracks.stage >= Stage.CONFIRMED)
+        confirmed = decided(tracks.mask & (tracks.stage >= Stage.CONFIRMED))
         found, left = in_turn(associate, predicted, look, known, draw, confirmed)
         learnt = of.update(moved, predicted, look, found, update)
         mean, covariance = of.moments(learnt)
@@ -212,8 +213,10 @@ def kalman_tracker(
         after, beliefs, key = choose(
             look.valid, (lived.table, beliefs, key), (state.table, state.beliefs, state.key)
         )
+        # The table's own are these, and would lead back to them by a second way.
+        mean, covariance = of.moments(beliefs)
         info = KalmanTrackerInfo(
-            way.tracks(after),
+            way.tracks(after)._replace(mean=mean, covariance=covariance),
             found.weight,
             lived.free,
             lived.full & look.valid,

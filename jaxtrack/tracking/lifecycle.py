@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxtrack.numerics.checks import check_array, check_known, check_size
+from jaxtrack.numerics.segments import decided
 from jaxtrack.types import Array, Stage, Tracks
 
 
@@ -153,11 +154,11 @@ def grade(
     stage = jnp.where(counted, stage, tracks.stage)
     gone = (misses >= params.delete_misses) | (unseen >= params.delete_unseen)
     gone = jnp.where(confirmed, gone, unseen >= params.delete_tentative_misses)
-    keep = tracks.mask & ~(gone & valid)
+    stays = decided(tracks.mask & ~(gone & valid))
     graded = table._replace(
         tracks=tracks._replace(stage=stage), hit=history, misses=misses, unseen=unseen
     )
-    return only(graded, keep)
+    return only(graded, stays)
 
 
 def admit(table: TrackTable, births: Births, params: LifecycleParams) -> Admission:
@@ -200,6 +201,8 @@ def admit(table: TrackTable, births: Births, params: LifecycleParams) -> Admissi
     taken = free & (rank < wanted)
     mine = births.mask[None, :] & (place[None, :] == rank[:, None])
     source = jnp.where(mine, order[None, :], 0).max(1, initial=0)
+    whose = decided(jnp.where(taken, source, -1))
+    taken, source = whose >= 0, jnp.maximum(whose, 0)
     fill = lambda new, old: jnp.where(taken.reshape(-1, *(1,) * (old.ndim - 1)), new, old)
     at_once = jnp.asarray(params.confirm_hits) <= 1
     at_once = at_once & (births.log_score[source] >= params.confirm_score)
@@ -222,7 +225,7 @@ def admit(table: TrackTable, births: Births, params: LifecycleParams) -> Admissi
         fill(jnp.zeros_like(table.unseen), table.unseen),
         table.next_identity + number,
     )
-    return Admission(after, wanted > number, jnp.where(taken, source, -1))
+    return Admission(after, wanted > number, whose)
 
 
 def only(table: TrackTable, keep: Array) -> TrackTable:

@@ -7,7 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxtrack.association import belief_propagation, jpda, pda
+from jaxtrack.association import (
+    AssociationParams,
+    Predicted,
+    belief_propagation,
+    jpda,
+    likelihood_ratios,
+    pda,
+)
+from jaxtrack.types import Scan
 from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import association
 from tests.oracles import jpda as enumeration
@@ -170,6 +178,30 @@ def test_belief_propagation_is_close_and_exact_where_gates_do_not_overlap():
     shared = np.zeros((5, 6))
     shared[:2, 0], shared[0, 1], shared[1, 2] = 30.0, 4.0, 2.0
     np.testing.assert_allclose(loopy(shared, miss), exact(shared, miss), rtol=1e-9, atol=1e-14)
+
+
+@pytest.mark.parametrize("apart_m", [4.0, 40.0])
+def test_messages_are_left_out_only_where_they_say_nothing(apart_m):
+    at = jnp.array([[0.0, 0.0], [apart_m, 0.0]])
+    noise = jnp.stack([jnp.eye(2)] * 2)
+    params = AssociationParams(0.9, 1e-3, 30.0)
+
+    def found(places, associate):
+        predicted = Predicted(at, noise, jnp.eye(2), jnp.ones(2, bool))
+        scan = Scan(jnp.array(0.0), jnp.array(True), places, jnp.ones(3, bool))
+        if associate:
+            return belief_propagation.associate(predicted, scan, params).weight
+        return loopy(*likelihood_ratios(predicted, scan, params))[:, :-1]
+
+    places = jnp.array([[1.0, 0.5], [apart_m - 1.0, -0.5], [2.0, 3.0]])
+    scale = jnp.asarray(np.random.default_rng(0).normal(size=(2, 3)))
+    loss = lambda places, associate: (scale * found(places, associate) ** 2).sum()
+    slopes = jax.jit(jax.value_and_grad(loss), static_argnums=1)
+    (value, got), (value_too, expected) = slopes(places, True), slopes(places, False)
+    np.testing.assert_allclose(value, value_too, rtol=1e-13)
+    np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-14)
+    assert ((found(places, True) > 0).sum(0) > 1).any() == (apart_m < 10.0)
+    assert_gradients_agree(lambda places: loss(places, True), np.asarray(places))
 
 
 def test_vmap_is_a_loop():

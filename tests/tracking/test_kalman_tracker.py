@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from jaxtrack.association import ASSOCIATORS
+from jaxtrack.numerics import scan_in_segments
 from jaxtrack.tracking import KalmanTrackerParams, LifecycleParams, kalman_tracker
 from jaxtrack.types import Scan, Stage
 from tests.metrics.differences import assert_gradients_agree
@@ -333,3 +334,48 @@ def test_what_no_tracker_can_have_is_refused_when_it_is_built():
         kalman_tracker(params, max_tracks=20)
     with pytest.raises(TypeError, match="p_detect: got float, want a function"):
         kalman_tracker(params, max_tracks=2, p_detect=0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "times"),
+    [
+        ("greedy", 3.0),
+        pytest.param("optimal", 3.0, marks=pytest.mark.slow),
+        pytest.param("jpda", 3.0, marks=pytest.mark.slow),
+        pytest.param("belief_propagation", 3.5, marks=pytest.mark.slow),
+        pytest.param("pmht", 3.0, marks=pytest.mark.slow),
+    ],
+)
+def test_a_run_in_segments_is_the_run_and_its_gradient_takes_few_times_its_memory(name, times):
+    scans = scene(0, looks=200, places=12)
+
+    numbers = jnp.array([SIGMA, SIGMA_A, P_DETECT, CLUTTER, BIRTH])
+
+    def loss(scan, numbers, position_m):
+        params = KalmanTrackerParams(*numbers, gate=GATE)
+        tracker = kalman_tracker(params, max_tracks=8, associator=name)
+        looks = scans._replace(position_m=position_m)
+        tracks = scan(tracker.step, tracker.init(jax.random.key(0)), looks)[1].tracks
+        return jnp.where(tracks.mask[..., None], jnp.tanh(tracks.mean / 50.0), 0.0).mean(), tracks
+
+    def compiled(of):
+        return jax.jit(of).lower(numbers, scans.position_m).compile()
+
+    def needed(program):
+        sizes = program.memory_analysis()
+        return sizes.temp_size_in_bytes + sizes.output_size_in_bytes
+
+    plain, segmented = (
+        compiled(jax.value_and_grad(functools.partial(loss, scan), (0, 1), has_aux=True))
+        for scan in (jax.lax.scan, scan_in_segments)
+    )
+    (value, tracks), slopes = segmented(numbers, scans.position_m)
+    (value_too, tracks_too), slopes_too = plain(numbers, scans.position_m)
+    np.testing.assert_allclose(value, value_too, rtol=1e-13)
+    np.testing.assert_array_equal(tracks.identity, tracks_too.identity)
+    np.testing.assert_allclose(tracks.mean, tracks_too.mean, rtol=1e-11, atol=1e-11)
+    for one, other in zip(jax.tree.leaves(slopes), jax.tree.leaves(slopes_too), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-11)
+    alone = lambda scan: lambda *at: loss(scan, *at)[0]
+    back = jax.grad(alone(scan_in_segments), (0, 1))
+    assert needed(compiled(back)) < times * needed(compiled(alone(jax.lax.scan)))
