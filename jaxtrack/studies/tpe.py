@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from jaxtrack.tuning.realizations import streams
 from jaxtrack.types import Key
 
 
@@ -66,7 +67,7 @@ def search(
         name: optuna.distributions.FloatDistribution(low, high, log=True)
         for name, (low, high) in bounds.items()
     }
-    fresh, held_out = (jax.random.fold_in(key, stream) for stream in (0, 1))
+    fresh, held_out = streams(key)
     tried: list[dict[str, float]] = []
     losses: list[float] = []
     best, means = [], []

@@ -5,17 +5,14 @@ and deletes patterns are tuned by the gradient of a smooth OSPA, from a fifth an
 the defaults; beside it Optuna's TPE, as `tuned` has it.
 """
 
-import xarray as xr
+import functools
 
-from jaxtrack.numerics import bounded, positive
 from jaxtrack.studies import tuned, tuned_report
 from jaxtrack.studies.registry import Context, Study
-from jaxtrack.studies.tables import Row
 from jaxtrack.studies.tune_csht_trial import hand, loss, score
-from jaxtrack.studies.tuned_ways import STARTS, Case, Effort
+from jaxtrack.studies.tuned_ways import Case, Effort, case_around
 
 CASE = "csht"
-MOST = 0.95  # of the shares, which are below 1
 FULL = Effort(steps=80, batch=32, holdout=128, every=10, grid=13, scenes=64)
 WORDS = tuned_report.Words(
     titles={CASE: "Clustering-statistic transform"},
@@ -36,33 +33,14 @@ _SHARES = ("cell_share", "membership_floor", "aggregation_gate")
 
 def cases() -> dict[str, Case]:
     """Return what is tuned."""
-    default = hand()
-    most = lambda name, value: min(value, MOST) if name in _SHARES else value
-    times = lambda factor: {n: most(n, factor * value) for n, value in default.items()}
-    return {
-        CASE: Case(
-            loss=loss,
-            score=score,
-            hand={"defaults": default},
-            starts={start: times(factor) for start, factor in STARTS.items()},
-            bounds={name: (0.1 * x, most(name, 10.0 * x)) for name, x in default.items()},
-            bijectors={
-                name: bounded(0.0, 1.0) if name in _SHARES else positive() for name in default
-            },
-            clip=0.2,
-            axes=("tolerance_m", "cell_share"),
-        )
-    }
+    axes = "tolerance_m", "cell_share"
+    return {CASE: case_around("defaults", hand(), loss, score, axes, shares=_SHARES, clip=0.2)}
 
 
 def run(context: Context) -> None:
     """Run everything, print the table, save results and figures."""
+    marks = functools.partial(tuned_report.marks, words=WORDS)
     tuned.run_study(context, STUDY, FULL, cases(), WORDS, marks)
-
-
-def marks(scores: xr.Dataset) -> list[Row]:
-    """Return every figure that has a mark, and what was gained."""
-    return tuned_report.near_best(scores, CASE, WORDS) + tuned_report.costs(scores)
 
 
 STUDY = Study(

@@ -14,7 +14,7 @@ from jaxtrack.studies.nht_scenes import WIDE
 from jaxtrack.studies.registry import Context, Study
 from jaxtrack.studies.tables import Figure, Mark, Row, mean_of
 from jaxtrack.studies.tune_nht_trial import ORIGINS, loss_from, paper, score_from
-from jaxtrack.studies.tuned_ways import GRADIENT, Case, Effort
+from jaxtrack.studies.tuned_ways import GRADIENT, Case, Effort, label
 
 STARTS = {"the paper's": 1.0, "a tenth": 0.1, "ten times": 10.0}
 FULL = Effort(steps=80, batch=24, holdout=64, every=10, grid=13, scenes=48)
@@ -68,12 +68,12 @@ def marks(scores: xr.Dataset) -> list[Row]:
             spread = tuned_report.exact(float(three.max() / three.min()), trials)
             rows.append(Row(f"{origin}: {symbol}, largest / smallest end", spread, mark=WITHIN))
         for start in starts:
-            gain = _difference(scores, origin, [f"{GRADIENT}, {start}"], ["paper"])
+            gain = _difference(scores, origin, [label(GRADIENT, start)], ["paper"])
             what = f"{origin}: top 3 above the paper's ε, from {start}"
             rows.append(Row(what, gain, mark=ABOVE_PAPER[origin]))
         for tuner in map(str, scores.tuner.values):
             if tuner != GRADIENT:
-                ours, theirs = ([f"{x}, {start}" for start in starts] for x in (GRADIENT, tuner))
+                ours, theirs = ([label(x, start) for start in starts] for x in (GRADIENT, tuner))
                 what = f"{origin}: top 3 above {tuner}, mean of the starts"
                 rows.append(Row(what, _difference(scores, origin, ours, theirs), mark=AS_GOOD))
     return rows + tuned_report.costs(scores)

@@ -21,11 +21,13 @@ from jaxtrack.tracking import (
     soft_lives,
 )
 from jaxtrack.tracking.lives import Lives
+from jaxtrack.tracking.soft_lifecycle import Softness
 from jaxtrack.types import Array, Key, Scan, Stage, Tracks, Truth
 
 CUTOFF_M, ORDER = 20.0, 2.0
 RADAR = Radar(0.9, 3.0, 1.0, (0.0, 0.0), (600.0, 600.0))
 ACCELERATION_M_S2 = 0.5  # of each coordinate; a look is a second
+SOFT = Softness(share=0.05, looks=0.125, score=0.5, gate=0.5)  # half the defaults
 _TARGETS, _LOOKS, _DETECTIONS, _SLOTS = 3, 40, 10, 8
 
 
@@ -46,7 +48,7 @@ def hand() -> dict[str, float]:
 def loss(settings: Settings, key: Key) -> Array:
     """Return the smooth OSPA of one scene, mean over its looks, in units of the cut-off."""
     truth, scans = _simulate(key)
-    tracks, _ = _track(settings, scans, soft_lives())
+    tracks, _ = _track(settings, scans, soft_lives(SOFT))
     look = functools.partial(smooth_ospa, cutoff=CUTOFF_M, order=ORDER)
     each = jax.vmap(look)(tracks, tracks.existence, truth.state, truth.mask)
     return each.mean() / CUTOFF_M

@@ -1,5 +1,6 @@
 """Tables, marks and figures of the studies of tuning."""
 
+import itertools
 import pathlib
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -18,8 +19,8 @@ from jaxtrack.studies.tables import (
     rate,
     standard_error,
 )
+from jaxtrack.studies.tuned_ways import GRADIENT, TPE, label
 
-GRADIENT = "gradient"
 NEAR_BEST = Mark(3.0, at_least=False)  # standard errors above the best setting that is known
 SECONDS = Mark(120.0, at_least=False)
 
@@ -39,6 +40,11 @@ def table(scores: xr.Dataset, case: str, words: Words) -> Table:
     """Return every setting with its score, the standard error of that, and what it cost."""
     here = scores.sel(case=case)
     budget = int(scores.realizations.values[-1])
+    ways = {
+        label(tuner, start): {"tuner": tuner, "start": start}
+        for tuner in here.tuner.values
+        for start in here.start.values
+    }
     names, lines = [], []
     for setting in map(str, here.setting.values):
         values = here.params.sel(setting=setting).values
@@ -49,15 +55,20 @@ def table(scores: xr.Dataset, case: str, words: Words) -> Table:
         for found in here.score.sel(setting=setting).values.T:
             mean = 1 - found.mean() if words.shares else found.mean()
             line.append(f"{number(float(mean))} ± {number(standard_error(found))}")
-        method, _, start = setting.partition(", ")
-        seconds = here.seconds.sel(tuner=method, start=start) if start else None
-        line += ["", ""] if seconds is None else [str(budget), number(float(seconds), "s")]
+        way = ways.get(setting)
+        line += [str(budget), number(float(here.seconds.sel(way)), "s")] if way else ["", ""]
         names.append(words.hand.get(setting, setting))
         lines.append(line)
     symbols = [symbol for symbol, _ in words.symbols.values()]
     columns = [*symbols, *words.measures, "realizations", "time"]
     title = f"{words.titles[case]}, held-out scenes"
     return grid_table(title, names, columns, lines, trials=here.sizes["trial"])
+
+
+def marks(scores: xr.Dataset, words: Words) -> list[Row]:
+    """Return every figure that has a mark where the score is no share, and what was gained."""
+    near = [near_best(scores, str(case), words) for case in scores.case.values]
+    return [*itertools.chain(*near), *costs(scores)]
 
 
 def near_best(scores: xr.Dataset, case: str, words: Words) -> list[Row]:
@@ -68,24 +79,23 @@ def near_best(scores: xr.Dataset, case: str, words: Words) -> list[Row]:
     here = scores.score.sel(case=case).isel(measure=0).astype(np.float64)
     best = str(here.setting.values[here.mean("trial").values.argmin()])
     default = str(here.setting.values[0])
-    tuners = [str(tuner) for tuner in scores.tuner.values]
+    tuners, starts = ([str(name) for name in scores[axis].values] for axis in ("tuner", "start"))
     of = lambda setting: here.sel(setting=setting).values
     rows = []
-    for start in map(str, scores.start.values):
-        above = of(f"{GRADIENT}, {start}") - of(best)
+    for start in starts:
+        above = of(label(GRADIENT, start)) - of(best)
         error = standard_error(above)
         ratio = above.mean() / error if error > 0 else 0.0
         what = f"{case}: from {start}, standard errors above the best ({best})"
         rows.append(Row(what, exact(float(ratio), len(above)), mark=NEAR_BEST))
-    for start in map(str, scores.start.values):
-        gain = of(default) - of(f"{GRADIENT}, {start}")
+    for start in starts:
+        gain = of(default) - of(label(GRADIENT, start))
         rows.append(
             Row(f"{case}: from {start}, better than the default by", mean_of(gain, words.unit))
         )
     for tuner in tuners:
         if tuner != GRADIENT:
-            starts = [str(start) for start in scores.start.values]
-            mean = lambda name, starts=starts: np.mean([of(f"{name}, {s}") for s in starts], axis=0)
+            mean = lambda name: np.mean([of(label(name, start)) for start in starts], axis=0)
             gain = mean(tuner) - mean(GRADIENT)
             rows.append(Row(f"{case}: gradient better than {tuner} by", mean_of(gain, words.unit)))
     return rows
@@ -98,7 +108,7 @@ def costs(scores: xr.Dataset) -> list[Row]:
     if np.isfinite(seconds).any():  # what was interrupted has no time
         slowest = exact(float(np.nanmax(seconds)), scores.sizes["trial"], "s")
         rows.append(Row("slowest tuning, compilation included", slowest, mark=SECONDS))
-    for setting in (str(scores.setting.values[0]), f"{GRADIENT}, {scores.start.values[0]}"):
+    for setting in (str(scores.setting.values[0]), label(GRADIENT, scores.start.values[0])):
         full = scores.overflow.sel(setting=setting).values
         rows.append(
             Row(f"scenes in which a table was full: {setting}", rate(full.sum(), full.size))
@@ -140,9 +150,11 @@ def draw(
             x_label=label(axes[0]),
             y_label=label(axes[1]),
             points={
-                setting: tuple(params.sel(setting=setting, parameter=axes).values)
-                for setting in map(str, params.setting.values)
-                if setting.startswith("TPE, ")
+                label(TPE, start): tuple(
+                    params.sel(setting=label(TPE, start), parameter=axes).values
+                )
+                for start in starts
+                if TPE in scores.tuner.values
             },
             title=f"{words.titles[case]}: the loss, and the gradient's ways",
         )

@@ -8,7 +8,7 @@ import xarray as xr
 
 from jaxtrack.studies import parts
 from jaxtrack.studies.registry import Context
-from jaxtrack.studies.tuned_ways import GRADIENT, Case, Effort, Ways, named, run_mean
+from jaxtrack.studies.tuned_ways import GRADIENT, Case, Effort, Ways, label, named, run_mean
 from jaxtrack.types import Key
 
 _SCORES, _MAPS = 1, 2  # streams of random keys; those of the tunings are 0
@@ -58,7 +58,7 @@ def score_all(context: Context, cases: Mapping[str, Case], ways: Ways) -> xr.Dat
         },
         coords={
             "case": list(cases),
-            "setting": [*hands, *(f"{method}, {start}" for method in methods for start in starts)],
+            "setting": [*hands, *(label(method, start) for method in methods for start in starts)],
             "tuner": methods,
             "start": starts,
             "parameter": names,
@@ -94,7 +94,7 @@ def maps_of(
     """
     maps = {}
     for place, (name, case) in enumerate(cases.items()):
-        first = f"{GRADIENT}, {next(iter(case.starts))}"
+        first = label(GRADIENT, next(iter(case.starts)))
         rest = scores.params.sel(case=name, setting=first).values
         axes = {axis: np.geomspace(*case.bounds[axis], effort.grid) for axis in case.axes}
         what, key = f"map, {name}", context.key(_MAPS, place)

@@ -9,7 +9,7 @@ Three programs are compiled for a case: the loss, its gradient, the score.
 
 import functools
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -18,6 +18,7 @@ import numpy as np
 import optax
 
 from jaxtrack.montecarlo import MonteCarlo
+from jaxtrack.numerics import bounded, positive
 from jaxtrack.studies import parts, tpe
 from jaxtrack.studies.registry import Context
 from jaxtrack.tuning import FitResult, fit, mean_loss, sinkhorn_ospa
@@ -30,6 +31,7 @@ _FITS = 0  # stream of random keys
 STARTS = {"a fifth": 0.2, "five times": 5.0}
 """From where what was set by hand is tuned anew, where a study has no starts of its own."""
 
+_MOST = 0.95  # of a share
 _TEMPERATURE, _ITERATIONS = 0.02, 30  # of the smooth OSPA
 
 Settings = Mapping[str, Any]
@@ -79,7 +81,46 @@ class Case(NamedTuple):
     bounds: Mapping[str, tuple[float, float]]  # what TPE may try; and the map shows
     bijectors: Any  # of the settings, as `fit` takes them
     axes: tuple[str, str]  # of the map
-    clip: float | None = None  # of the gradient's norm: one wild realization stops Adam for long
+    clip: float | None = None  # of the mean gradient's norm
+
+
+def case_around(
+    name: str,
+    default: Settings,
+    loss: Callable[[Settings, Key], Array],
+    score: Callable[[Settings, Key], Score],
+    axes: tuple[str, str],
+    *,
+    shares: Collection[str] = (),
+    clip: float | None = None,
+) -> Case:
+    """Return what is tuned anew from a fifth and from five times of what was set by hand.
+
+    TPE may try a tenth to ten times of it. Shares stop at .95.
+
+    Args:
+        name: of what was set by hand.
+        default: it.
+        loss: smooth.
+        score: what counts.
+        axes: of the map.
+        shares: which settings are below 1; all are positive.
+        clip: of the mean gradient's norm.
+    """
+    times = lambda factor: {
+        n: min(factor * x, _MOST) if n in shares else factor * x for n, x in default.items()
+    }
+    low, high = times(0.1), times(10.0)
+    return Case(
+        loss=loss,
+        score=score,
+        hand={name: default},
+        starts={start: times(factor) for start, factor in STARTS.items()},
+        bounds={n: (low[n], high[n]) for n in default},
+        bijectors={n: bounded(0.0, 1.0) if n in shares else positive() for n in default},
+        axes=axes,
+        clip=clip,
+    )
 
 
 class Effort(NamedTuple):
@@ -98,7 +139,7 @@ class Way(NamedTuple):
 
     realizations: np.ndarray  # [E] simulated so far
     best: np.ndarray  # [E, P] the best so far, by the held-out realizations
-    seconds: float  # compilation included; NaN of a run that was interrupted
+    seconds: float  # compilation included; NaN of a fit that an interrupted run had begun
     steps: np.ndarray  # [S, P] everything tried
 
 
@@ -133,37 +174,28 @@ def _descend(
     context: Context, effort: Effort, case: Case, what: str, key: Key, start: Settings
 ) -> tuple[Way, FitResult]:
     folder = parts.folder_of(context, what)
-    again = folder.exists()
-
-    def tuned() -> FitResult:
-        return fit(
-            case.loss,
-            start,
-            optax.adam(optax.cosine_decay_schedule(_LEARNING_RATE, effort.steps)),
-            key=key,
-            steps=effort.steps,
-            batch=effort.batch,
-            holdout=effort.holdout,
-            bijectors=case.bijectors,
-            clip=case.clip,
-            every=effort.every,
-            micro_batch=1,
-            checkpoint=folder,
-            progress=functools.partial(context.progress, what),
-        )
-
-    def timed() -> float:
-        began = time.perf_counter()
-        tuned()
-        return np.nan if again else time.perf_counter() - began
-
-    seconds = parts.keep_part(context, f"{what}, seconds", timed, 0.0, key, effort.steps, start)
-    result = tuned()  # what stands in the folder
+    again, began = folder.exists(), time.perf_counter()
+    result = fit(
+        case.loss,
+        start,
+        optax.adam(optax.cosine_decay_schedule(_LEARNING_RATE, effort.steps)),
+        key=key,
+        steps=effort.steps,
+        batch=effort.batch,
+        holdout=effort.holdout,
+        bijectors=case.bijectors,
+        clip=case.clip,
+        every=effort.every,
+        micro_batch=1,
+        checkpoint=folder,
+        progress=functools.partial(context.progress, what),
+    )
+    seconds = np.nan if again else time.perf_counter() - began
     history = result.history
     best = [int(np.argmin(history.held_out[: n + 1])) for n in range(len(history.held_out))]
     steps = np.stack([history.params[name] for name in case.bounds], axis=-1)
     at = history.evaluated[best]
-    return Way(history.realizations, steps[at], float(seconds), steps), result
+    return Way(history.realizations, steps[at], seconds, steps), result
 
 
 def _search(
@@ -192,6 +224,11 @@ def _search(
     done = np.minimum(evaluations * effort.every, effort.steps)
     realizations = done * effort.batch + (evaluations + 1) * effort.holdout
     return Way(realizations, steps[found.best[best]], float(seconds), steps)
+
+
+def label(method: str, start: str) -> str:
+    """Return what the setting is called that a method found from a start."""
+    return f"{method}, {start}"
 
 
 def named(names: Iterable[str], values: np.ndarray) -> dict[str, float]:

@@ -5,10 +5,12 @@
 `fit` is the loop, and `mean_loss` what it evaluates. For losses there are `metrics.ospa` and
 `metrics.gospa`, whose gradient is that of the assignment at hand; `sinkhorn_ospa`, smooth where
 that one has kinks; `candidate_softmax` for votes; `negative_log_likelihood` for filters;
-`false_track_loss` for gates. `falsify` goes the other way, up the loss in what makes a scene, and
+`false_track_loss` for gates. `clip_each` keeps single realizations of a loss from dominating its
+gradient. `falsify` goes the other way, up the loss in what makes a scene, and
 finds scenes that break a tracker. Data come out; `jaxtrack.plots` draws them.
 """
 
+from jaxtrack.tuning.clipping import clip_each
 from jaxtrack.tuning.falsify import Falsified, falsify, uniform_scene
 from jaxtrack.tuning.fit import FitHistory, FitResult, fit
 from jaxtrack.tuning.objectives import (
@@ -26,6 +28,7 @@ __all__ = [
     "FitResult",
     "SinkhornOspa",
     "candidate_softmax",
+    "clip_each",
     "false_track_loss",
     "falsify",
     "fit",

@@ -15,10 +15,8 @@ from jaxtrack.numerics.bijectors import Bijector, bijector_of, identity
 from jaxtrack.numerics.checks import check_key, check_known, check_size
 from jaxtrack.numerics.safe import as_float
 from jaxtrack.tuning.checkpoint import digest, read, write
-from jaxtrack.tuning.realizations import mean_loss, programs
+from jaxtrack.tuning.realizations import mean_loss, programs, streams
 from jaxtrack.types import Array, Key
-
-_TRAINING, _HELD_OUT = 0, 1  # streams of random keys
 
 
 class FitHistory(NamedTuple):
@@ -110,7 +108,8 @@ def fit(
             is below it; None: parameters are free.
         fresh: new realizations each step; False: the same (common random numbers), where `batch`
             bounds how well the parameters can get.
-        clip: largest norm of a gradient in the free parameters; longer ones are scaled down.
+        clip: largest norm of the mean gradient in the free parameters; longer ones are scaled down.
+            Where single realizations are wild, `clip_each` the loss instead.
         every: steps between evaluations; the last step is evaluated too.
         patience: evaluations without a new least held-out loss until it stops early; None: never.
         micro_batch: realizations under one `vmap`, see `monte_carlo`.
@@ -166,7 +165,7 @@ def fit(
 
     _, slope = programs(loss)
     advance = _advance(optimizer, bijector, clip)
-    training, held_out = (jax.random.fold_in(key, stream) for stream in (_TRAINING, _HELD_OUT))
+    training, held_out = streams(key)
 
     def evaluate() -> None:
         at = state.made[-1].params

@@ -1,5 +1,6 @@
 """What the studies of tuning share, on a bowl; and the two whose score is OSPA."""
 
+import functools
 import io
 import json
 
@@ -17,13 +18,12 @@ from jaxtrack.studies import (
     store,
     tables,
     tpe,
-    tune_csht,
     tune_csht_trial,
     tune_tracker_trial,
     tuned,
     tuned_report,
 )
-from jaxtrack.studies.tuned_ways import Case, Score, tune_all
+from jaxtrack.studies.tuned_ways import Case, Score, case_around, tune_all
 from tests.metrics.differences import assert_gradients_agree
 
 TINY = {"a fifth": 0.2, "five times": 5.0}
@@ -53,7 +53,6 @@ CASES = {
         {"x": (0.1, 100.0), "y": (0.01, 10.0)},
         positive(),
         ("x", "y"),
-        clip=1.0,
     )
 }
 
@@ -64,9 +63,7 @@ def context_in(folder, trials=30, progress=lambda *_: None, screen=None):
 
 
 def run(context, effort=EFFORT):
-    marks = lambda scores: (
-        tuned_report.near_best(scores, "bowl", WORDS) + tuned_report.costs(scores)
-    )
+    marks = functools.partial(tuned_report.marks, words=WORDS)
     tuned.run_study(context, STUDIES["tune_tracker"], effort, CASES, WORDS, marks)
     return store.load(context.out)
 
@@ -115,8 +112,8 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path, monkeypatch):
     for name, way in whole.items():
         np.testing.assert_array_equal(ways[name].steps, way.steps)
         np.testing.assert_array_equal(ways[name].best, way.best)
-    assert np.isnan(ways["bowl", "gradient", "five times"].seconds)
-    assert np.isfinite(ways["bowl", "gradient", "a fifth"].seconds)
+    assert all(np.isnan(way.seconds) for way in ways.values())
+    assert all(np.isfinite(way.seconds) for way in whole.values())
 
 
 def made_up(fifth, five, default=5.0, trials=400):
@@ -183,12 +180,16 @@ def test_losses_are_smooth_in_all_that_is_tuned(trial, key):
 
 
 def test_starts_are_factors_of_the_defaults_and_shares_stay_below_one():
-    case = tune_csht.cases()["csht"]
-    for start, factor in tune_csht.STARTS.items():
-        for name, value in case.starts[start].items():
-            assert value == pytest.approx(factor * case.hand["defaults"][name]) or value == 0.95
-            low, high = case.bounds[name]
-            assert low <= value <= high
+    default = {"x": 3.0, "share": 0.3}
+    case = case_around("by hand", default, away, counted, ("x", "share"), shares=("share",))
+    assert case.hand == {"by hand": default}
+    assert case.starts == {
+        "a fifth": {"x": pytest.approx(0.6), "share": pytest.approx(0.06)},
+        "five times": {"x": 15.0, "share": 0.95},
+    }
+    assert case.bounds == {"x": pytest.approx((0.3, 30.0)), "share": pytest.approx((0.03, 0.95))}
+    free = case.bijectors["share"].forward(jnp.asarray(9.0))
+    assert 0.99 < free < 1.0
 
 
 @pytest.mark.slow

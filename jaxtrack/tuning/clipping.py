@@ -1,0 +1,74 @@
+"""A loss whose gradient is bounded in every single realization."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from jaxtrack.numerics.bijectors import Bijector, bijector_of, identity
+from jaxtrack.numerics.checks import check_known
+from jaxtrack.types import Array, Key
+
+
+def clip_each(
+    loss: Callable[[Any, Key], Array], most: float, bijectors: Any = None
+) -> Callable[[Any, Key], Array]:
+    """Return the loss, with a gradient that no realization dominates.
+
+        ∇_u L ← ∇_u L · min(1, c / |∇_u L|),   params = g(u)
+
+    Gradients through many looks are heavy-tailed: through 40 looks of a tracker a realization's norm
+    was .08 in the median and 15 at most of 200, so the mean points where a few of them do. Clipped
+    one by one most of them count alike, as in a median, and the mean's error is small. `fit`'s own
+    `clip` bounds the mean, after the harm is done.
+
+    Args:
+        loss: as `fit` takes it.
+        most: c, largest norm of one realization's gradient in the free parameters.
+        bijectors: g, as `fit` takes them.
+
+    Returns:
+        A new function: define it once, as every loss.
+
+    Raises:
+        ValueError: `most` is not positive.
+
+    Example:
+        >>> from jaxtrack.tuning import clip_each
+        >>> wild = lambda x, key: x * 100.0
+        >>> print(jax.grad(clip_each(wild, 0.5))(1.0, jax.random.key(0)))
+        0.5
+
+    Note:
+        The mean is biased. Where few realizations say what is wrong, and rightly, it leads past the
+        least loss: watch what is held out.
+        What is not finite stays so, for `fit` to leave the step out. In reverse mode only.
+    """
+    check_known("most", most, lambda c: c > 0, "a positive number")
+    bijector = bijector_of(identity() if bijectors is None else bijectors)
+
+    def clipped(params: Any, key: Key) -> Array:
+        return loss(_bounded(bijector, most, params), key)
+
+    return clipped
+
+
+def _passed(bijector: Bijector, most: float, params: Any) -> tuple[Any, Any]:
+    return params, params
+
+
+def _back(bijector: Bijector, most: float, params: Any, gradient: Any) -> tuple[Any]:
+    _, back = jax.vjp(bijector.forward, bijector.inverse(params))
+    norm = optax.tree.norm(back(gradient))
+    scale = jnp.where(norm > most, most / jnp.where(norm > most, norm, 1.0), 1.0)
+    return (jax.tree.map(lambda x: x * scale.astype(x.dtype), gradient),)
+
+
+def _identity(bijector: Bijector, most: float, params: Any) -> Any:
+    return params
+
+
+_bounded = jax.custom_vjp(_identity, nondiff_argnums=(0, 1))
+_bounded.defvjp(_passed, _back)
