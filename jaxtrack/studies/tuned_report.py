@@ -136,7 +136,7 @@ def draw(
     cases, starts = ([str(name) for name in scores[axis].values] for axis in ("case", "start"))
     names = [str(name) for name in scores.parameter.values]
     total = 2 * len(cases) + 1
-    label = lambda name: ", ".join(filter(None, words.symbols[name]))
+    axis_label = lambda name: ", ".join(filter(None, words.symbols[name]))
     for done, case in enumerate(cases):
         landscape = maps[f"map, {case}"].loss
         axes = [str(axis) for axis in landscape.dims]
@@ -147,8 +147,8 @@ def draw(
             landscape[axes[1]].values,
             landscape.values,
             {f"from {start}": ways[case, GRADIENT, start].steps[:, at] for start in starts},
-            x_label=label(axes[0]),
-            y_label=label(axes[1]),
+            x_label=axis_label(axes[0]),
+            y_label=axis_label(axes[1]),
             points={
                 label(TPE, start): tuple(
                     params.sel(setting=label(TPE, start), parameter=axes).values
