@@ -41,9 +41,12 @@ def clip_each(
         >>> print(jax.grad(clip_each(wild, 0.5))(1.0, jax.random.key(0)))
         0.5
 
+    Source: M. Abadi and others, "Deep Learning with Differential Privacy", 2016, algorithm 1, without
+        the noise.
+
     Note:
-        The mean is biased. Where few realizations say what is wrong, and rightly, it leads past the
-        least loss: watch what is held out.
+        The mean is biased: where few realizations say rightly what is wrong, it may lead past the
+        least loss. Watch what is held out.
         What is not finite stays so, for `fit` to leave the step out. In reverse mode only.
     """
     check_known("most", most, lambda c: c > 0, "a positive number")
