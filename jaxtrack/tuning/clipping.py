@@ -41,8 +41,8 @@ def clip_each(
         >>> print(jax.grad(clip_each(wild, 0.5))(1.0, jax.random.key(0)))
         0.5
 
-    Source: M. Abadi and others, "Deep Learning with Differential Privacy", 2016, algorithm 1, without
-        the noise.
+    Source: M. Abadi and others, "Deep Learning with Differential Privacy", 2016, algorithm 1,
+        without the noise.
 
     Note:
         The mean is biased: where few realizations say rightly what is wrong, it may lead past the
