@@ -3,6 +3,11 @@
 The soft estimator's tolerance, its primary threshold and the thresholds by which ISODATA combines
 and deletes patterns are tuned by the gradient of a smooth OSPA, from a fifth and from five times of
 the defaults; beside it Optuna's TPE, as `tuned` has it.
+
+The share δ below which a pattern is deleted has a slope in few windows, where a pattern holds about
+as little as that, and from both starts it becomes small: false patterns hold as many votes as true
+ones, so what it deletes are targets. The mark is judged by the soft estimator, which is what the
+loss is of and what has a tolerance; hard votes with the same thresholds stand beside it.
 """
 
 import functools
