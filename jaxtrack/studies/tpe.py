@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxtrack.tuning.realizations import streams
 from jaxtrack.types import Key
+
+_FRESH, _HELD_OUT, _SAMPLER = 0, 1, 2  # streams of random keys
 
 
 class Search(NamedTuple):
@@ -60,14 +61,14 @@ def search(
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    seed = int(jax.random.randint(jax.random.fold_in(key, 2), (), 0, 2**31 - 1))
+    seed = int(jax.random.randint(jax.random.fold_in(key, _SAMPLER), (), 0, 2**31 - 1))
     study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed))
     study.enqueue_trial(dict(start))
     distributions: dict[str, Any] = {
         name: optuna.distributions.FloatDistribution(low, high, log=True)
         for name, (low, high) in bounds.items()
     }
-    fresh, held_out = streams(key)
+    fresh, held_out = (jax.random.fold_in(key, stream) for stream in (_FRESH, _HELD_OUT))
     tried: list[dict[str, float]] = []
     losses: list[float] = []
     best, means = [], []

@@ -15,8 +15,10 @@ from jaxtrack.numerics.bijectors import Bijector, bijector_of, identity
 from jaxtrack.numerics.checks import check_key, check_known, check_size
 from jaxtrack.numerics.safe import as_float
 from jaxtrack.tuning.checkpoint import digest, read, write
-from jaxtrack.tuning.realizations import mean_loss, programs, streams
+from jaxtrack.tuning.realizations import mean_loss, programs
 from jaxtrack.types import Array, Key
+
+_TRAINING, _HELD_OUT = 0, 1  # streams of random keys
 
 
 class FitHistory(NamedTuple):
@@ -165,7 +167,7 @@ def fit(
 
     _, slope = programs(loss)
     advance = _advance(optimizer, bijector, clip)
-    training, held_out = streams(key)
+    training, held_out = (jax.random.fold_in(key, stream) for stream in (_TRAINING, _HELD_OUT))
 
     def evaluate() -> None:
         at = state.made[-1].params

@@ -41,17 +41,6 @@ def mean_loss(
     )
 
 
-def streams(key: Key) -> tuple[Key, Key]:
-    """Return the key of what is trained on, for `fold_in` of a step, and of what is held out.
-
-    Example:
-        >>> training, held_out = streams(jax.random.key(0))
-        >>> print((jax.random.key_data(training) == jax.random.key_data(held_out)).all())
-        False
-    """
-    return jax.random.fold_in(key, 0), jax.random.fold_in(key, 1)
-
-
 @functools.lru_cache(maxsize=64)
 def programs(loss: Callable[[Any, Key], Array]) -> tuple[Callable[..., Any], Callable[..., Any]]:
     """Return the loss, and loss and gradient, as `monte_carlo` takes them: once for a loss.
