@@ -132,7 +132,7 @@ def bijector_of(tree: Any) -> Bijector:
             is that of every leaf below it, so a single bijector is a tree too.
 
     Raises:
-        ValueError: (from the two maps) the parameters branch otherwise.
+        ValueError: (from the two maps) the parameters branch otherwise, or are refused by a part.
         TypeError: a leaf is no bijector.
 
     Example:
@@ -150,7 +150,12 @@ def bijector_of(tree: Any) -> Bijector:
         def part(bijector: Bijector, below: Any) -> Any:
             return jax.tree.map(getattr(bijector, direction), below)
 
-        return jax.tree.map(part, tree, values, is_leaf=is_bijector)
+        try:
+            return jax.tree.map(part, tree, values, is_leaf=is_bijector)
+        except ValueError as error:
+            got = jax.tree.structure(tree, is_leaf=is_bijector)
+            want = f"ones that fit parameters of {jax.tree.structure(values)}"
+            raise ValueError(f"bijectors: got {got}, want {want}: {error}") from error
 
     return Bijector(lambda u: over("forward", u), lambda y: over("inverse", y))
 

@@ -32,6 +32,8 @@ def check_array(name: str, value: Any, *, shape: tuple[int | str, ...] | None = 
         >>> check_array("points_m", jnp.zeros((4, 2)), shape=("N", 2))
     """
     try:
+        if value is None or isinstance(value, str):  # which name dtypes
+            raise TypeError
         dtype = jnp.result_type(value)
         got = jnp.shape(value)
     except TypeError as error:

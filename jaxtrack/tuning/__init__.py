@@ -16,9 +16,9 @@ from jaxtrack.tuning.fit import FitHistory, FitResult, fit
 from jaxtrack.tuning.objectives import (
     candidate_softmax,
     false_track_loss,
+    mean_loss,
     negative_log_likelihood,
 )
-from jaxtrack.tuning.realizations import mean_loss
 from jaxtrack.tuning.regression_scenes import read_regression_scenes, write_regression_scenes
 from jaxtrack.tuning.sinkhorn import SinkhornOspa, sinkhorn_ospa
 

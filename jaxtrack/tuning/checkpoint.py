@@ -6,6 +6,7 @@ the arguments says whose it is.
 
 import hashlib
 import pathlib
+import zipfile
 from typing import Any
 
 import jax
@@ -66,25 +67,29 @@ def read(folder: pathlib.Path, made_by: str, like: Any) -> Any | None:
         like: a state of the same structure; shapes may differ.
 
     Raises:
-        ValueError: it is another fit's.
+        ValueError: it is another fit's, or broken, or the folder is a file.
 
     Example:
         >>> read(pathlib.Path("nowhere"), "me", {"step": 0}) is None
         True
     """
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"checkpoint: got {folder}, which is a file, want a folder")
     file = folder / FILE
     if not file.exists():
         return None
-    with np.load(file) as kept:
-        leaves, structure = jax.tree.flatten(like)
-        if str(kept["made_by"]) != made_by or len(kept) != len(leaves) + 1:
-            raise ValueError(
-                f"checkpoint: got {file} of another fit, want one with the same key, parameters, "
-                "optimizer and settings, or an empty folder"
-            )
-        found = [kept[f"leaf_{n}"] for n in range(len(leaves))]
-        again = lambda x, was: jax.random.wrap_key_data(x) if _is_key(was) else x
-        return structure.unflatten(map(again, found, leaves))
+    want = "want one of a fit with the same key, parameters, optimizer and settings, or an empty folder"
+    try:
+        with file.open("rb") as opened, np.load(opened) as kept:
+            arrays = dict(kept)
+    except (OSError, EOFError, TypeError, ValueError, zipfile.BadZipFile) as error:
+        raise ValueError(f"checkpoint: got {file}, which is broken ({error}), {want}") from error
+    leaves, structure = jax.tree.flatten(like)
+    if str(arrays.get("made_by")) != made_by or len(arrays) != len(leaves) + 1:
+        raise ValueError(f"checkpoint: got {file} of another fit, {want}")
+    again = lambda x, was: jax.random.wrap_key_data(x) if _is_key(was) else x
+    found = [again(arrays[f"leaf_{n}"], leaf) for n, leaf in enumerate(leaves)]
+    return structure.unflatten(found)
 
 
 def _plain(leaf: Any) -> np.ndarray:

@@ -1,8 +1,10 @@
 """The training loop: parameters down the gradient of a mean loss over simulated realizations."""
 
+import functools
 import os
 import pathlib
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 
 import jax
@@ -10,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from jaxtrack.montecarlo import monte_carlo
+from jaxtrack.montecarlo import MonteCarlo, monte_carlo
 from jaxtrack.numerics.bijectors import Bijector, bijector_of, identity
-from jaxtrack.numerics.checks import check_key, check_known, check_size
+from jaxtrack.numerics.checks import check_array, check_key, check_known, check_size
 from jaxtrack.numerics.safe import as_float
 from jaxtrack.tuning.checkpoint import digest, read, write
-from jaxtrack.tuning.realizations import mean_loss, programs
+from jaxtrack.tuning.objectives import mean_loss, programs
 from jaxtrack.types import Array, Key
 
 _TRAINING, _HELD_OUT = 0, 1  # streams of random keys
@@ -46,29 +48,12 @@ class FitResult(NamedTuple):
     history: FitHistory
 
 
-class _Made(NamedTuple):
-    """One step; the first stands for the start."""
-
-    loss: Any
-    loss_error: Any
-    grad_norm: Any
-    finite: Any
-    params: Any  # after it
-
-
-class _Evaluation(NamedTuple):
-    step: Any
-    mean: Any
-    error: Any
-
-
 class _State(NamedTuple):
-    """What goes on, and what is written to disk: there the lists are stacked."""
+    """What goes on, and what is written to disk."""
 
     free: Any
     memory: Any  # the optimizer's
-    made: list[_Made]
-    evaluations: list[_Evaluation]
+    history: FitHistory
 
 
 def fit(
@@ -100,8 +85,8 @@ def fit(
         loss: `(params, key) -> []` of one realization, differentiable in the parameters; define it
             once, for each new function object is compiled anew.
         params: pytree of numbers and arrays to start from, inside their bijectors' range.
-        optimizer: of optax; a schedule counts its steps. Those that read the loss get it, as
-            `value`; a line search, which evaluates it at other points, is not offered.
+        optimizer: any of optax; a schedule counts its steps. A line search, as in `optax.lbfgs`,
+            goes by the mean loss of the step's realizations: let them be common, `fresh=False`.
         key: all randomness; a step's realizations have keys of their own.
         steps: at most.
         batch: realizations a step.
@@ -120,9 +105,11 @@ def fit(
         progress: called as `progress(steps done, steps)` after each step.
 
     Raises:
-        TypeError: a size is no Python int, parameters are no numbers, or bijectors are none.
-        ValueError: a size is too small, bijectors do not fit, the loss at the start is not finite,
-            parameters lie outside their bijectors' range, or the checkpoint is another fit's.
+        TypeError: an argument is of another kind than is wanted.
+        ValueError: a size is too small, bijectors do not fit, the loss is no single number, at the
+            start it is not finite, or its gradient is in no step until the first evaluation,
+            parameters lie outside their bijectors' range, or the checkpoint is another fit's or
+            cannot be read.
 
     Example:
         >>> def squared(params, key):
@@ -134,7 +121,8 @@ def fit(
         3.0, 704 realizations
 
     Note:
-        A step whose loss or gradient is not finite changes nothing and is marked in the history.
+        A step whose loss, gradient or change is not finite is left out and marked in the history;
+        if there were any, a RuntimeWarning says so at the end. Line searches run on one device.
         The digest of a checkpoint sees the optimizer's state but neither its code nor the loss's:
         change one, and the folder has to be emptied.
     """
@@ -145,74 +133,116 @@ def fit(
     if patience is not None:
         check_size("patience", patience)
     if clip is not None:
+        check_array("clip", clip, shape=())
         check_known("clip", clip, lambda c: c > 0, "a positive number")
+    if not (callable(loss) and isinstance(loss, Hashable)):
+        raise TypeError(f"loss: got {type(loss).__name__}, want a hashable function of params, key")
+    if not all(callable(getattr(optimizer, part, None)) for part in ("init", "update")):
+        raise TypeError(
+            f"optimizer: got {type(optimizer).__name__}, want one of optax, as optax.adam(0.1)"
+        )
     bijector = bijector_of(identity() if bijectors is None else bijectors)
-    start = jax.tree.map(as_float, params)
-    free = bijector.inverse(start)
-    _check_range(start, bijector.forward(free))
+    start, free = _begin(params, bijector)
     optimizer = optax.with_extra_args_support(optimizer)
     with jax.numpy_dtype_promotion("standard"):
         memory = optimizer.init(free)
-    nan = np.float64(np.nan)
-    first = _Made(nan, nan, nan, np.bool_(True), jax.device_get(start))
-    state = _State(free, memory, [first], [])
+    state = _State(free, memory, _no_history(start))
     folder = None if checkpoint is None else pathlib.Path(checkpoint)
     settings = batch, holdout, bool(fresh), clip, every, patience, micro_batch
     made_by = digest(key, (start, free, memory), *settings)
     if folder is not None:
-        state = _resume(folder, made_by, state)
-        if len(state.made) - 1 > steps:
-            kept = f"{len(state.made) - 1} steps stand in {folder}"
+        state = read(folder, made_by, state) or state
+        if (made := len(state.history.loss)) > steps:
+            kept = f"{made} steps stand in {folder}"
             raise ValueError(f"steps: got {steps}, want no fewer than what was made: {kept}")
 
-    _, slope = programs(loss)
-    advance = _advance(optimizer, bijector, clip)
+    value, slope = programs(loss)
     training, held_out = (jax.random.fold_in(key, stream) for stream in (_TRAINING, _HELD_OUT))
+    on_batch = functools.partial(monte_carlo, trials=batch, micro_batch=micro_batch)
+    advance = _advance(optimizer, bijector, clip, functools.partial(on_batch, value))
 
-    def evaluate() -> None:
-        at = state.made[-1].params
+    def evaluated(state: _State) -> _State:
+        history = state.history
+        at, done = _last(history.params), len(history.loss)
         run = mean_loss(loss, at, key=held_out, realizations=holdout, micro_batch=micro_batch)
-        done = len(state.made) - 1
-        if done == 0 and not np.isfinite(run.mean):
-            raise ValueError(f"loss: got a mean of {run.mean} at the start, want a finite one")
-        state.evaluations.append(_Evaluation(np.int64(done), run.mean, run.standard_error))
+        if done == 0:
+            _check_loss(run)
+        elif not history.finite.any():
+            got = f"{history.loss[-1]} and a gradient of norm {history.grad_norm[-1]}"
+            raise ValueError(f"loss: got {got}, as in all {done} steps, want finite ones")
+        history = _grown(
+            history,
+            evaluated=done,
+            held_out=run.mean,
+            held_out_error=run.standard_error,
+            realizations=done * batch + (len(history.evaluated) + 1) * holdout,
+        )
+        state = state._replace(history=history)
         if folder is not None and done % every == 0:
-            write(folder, made_by, _stacked(state))
+            write(folder, made_by, state)
+        return state
 
-    if not state.evaluations:
-        evaluate()
-    while len(state.made) <= steps and not _waited(state, patience):
-        done = len(state.made)
+    if not len(state.history.evaluated):
+        state = evaluated(state)
+    while (done := len(state.history.loss) + 1) <= steps and not _waited(state.history, patience):
         step_key = jax.random.fold_in(training, done if fresh else 0)
-        at = state.made[-1].params
-        run = monte_carlo(slope, step_key, batch, at, micro_batch=micro_batch)
-        free, memory, *seen = advance(state.free, state.memory, *run.mean)
-        state = state._replace(free=free, memory=memory)
-        state.made.append(_Made(run.mean[0], run.standard_error[0], *jax.device_get(seen)))
+        run = on_batch(slope, step_key, params=_last(state.history.params))
+        free, memory, *seen = advance(state.free, state.memory, *run.mean, step_key)
+        norm, finite, after = jax.device_get(seen)
+        history = _grown(
+            state.history,
+            loss=run.mean[0],
+            loss_error=run.standard_error[0],
+            grad_norm=norm,
+            finite=finite,
+            params=after,
+        )
+        state = _State(free, memory, history)
         if done % every == 0 or done == steps:
-            evaluate()
+            state = evaluated(state)
         if progress is not None:
             progress(done, steps)
-    return _result(state, batch, holdout, stopped=_waited(state, patience))
+
+    history = state.history
+    if (left_out := int((~history.finite).sum())) > 0:
+        what = f"{left_out} of {len(history.finite)} steps were left out"
+        warnings.warn(f"fit: {what}, as they were not finite", RuntimeWarning, stacklevel=2)
+    best = int(np.nanargmin(history.held_out))
+    step = int(history.evaluated[best])
+    return FitResult(
+        params=jax.tree.map(lambda rows: jnp.asarray(rows[step]), history.params),
+        best_step=step,
+        held_out=float(history.held_out[best]),
+        held_out_error=float(history.held_out_error[best]),
+        stopped_early=_waited(history, patience),
+        history=history,
+    )
 
 
 def _advance(
-    optimizer: optax.GradientTransformationExtraArgs, bijector: Bijector, clip: float | None
+    optimizer: optax.GradientTransformationExtraArgs,
+    bijector: Bijector,
+    clip: float | None,
+    on_batch: Callable[..., MonteCarlo],
 ) -> Callable[..., Any]:
     """Return the compiled step from a mean loss and its gradient in the parameters."""
 
-    def advance(free: Any, memory: Any, loss: Any, in_params: Any) -> tuple[Any, ...]:
+    def advance(free: Any, memory: Any, loss: Any, in_params: Any, key: Key) -> tuple[Any, ...]:
         _, back = jax.vjp(bijector.forward, free)
         (gradient,) = back(in_params)
         norm = optax.tree.norm(gradient)
-        finite = jnp.isfinite(loss) & jnp.isfinite(norm)
+        clipped = gradient
         if clip is not None:
             scale = jnp.where(norm > clip, clip / jnp.where(norm > clip, norm, 1.0), 1.0)
-            gradient = jax.tree.map(lambda x: x * scale.astype(x.dtype), gradient)
+            clipped = jax.tree.map(lambda x: x * scale.astype(x.dtype), gradient)
+        # What a line search evaluates; others never trace it.
+        elsewhere = lambda u: on_batch(key, params=bijector.forward(u)).mean
+        extra = {"value": loss, "grad": gradient, "value_fn": elsewhere}
         # Optimizers mix dtypes harmlessly.
         with jax.numpy_dtype_promotion("standard"):
-            change, after = optimizer.update(gradient, memory, free, value=loss, grad=gradient)
+            change, after = optimizer.update(clipped, memory, free, **extra)
             moved = optax.apply_updates(free, change)
+        finite = jnp.isfinite(loss) & jnp.isfinite(norm) & jnp.isfinite(optax.tree.norm(change))
         keep = lambda new, old: jax.tree.map(lambda x, y: jnp.where(finite, x, y), new, old)
         free, memory = keep(moved, free), keep(after, memory)
         return free, memory, norm, finite, bijector.forward(free)
@@ -220,59 +250,51 @@ def _advance(
     return jax.jit(advance)
 
 
-def _check_range(start: Any, again: Any) -> None:
-    """Refuse parameters that their bijectors do not lead back to: they could not be trained."""
-    pairs = zip(jax.tree.leaves_with_path(start), jax.tree.leaves(again), strict=True)
-    for (path, x), y in pairs:
+def _begin(params: Any, bijector: Bijector) -> tuple[Any, Any]:
+    """Return where parameters start, and where that is on the reals."""
+    named = lambda tree: [
+        (f"params{jax.tree_util.keystr(path)}", leaf)
+        for path, leaf in jax.tree.leaves_with_path(tree)
+    ]
+    for name, x in named(params):
+        check_array(name, x)
+    start = jax.tree.map(as_float, params)
+    free = bijector.inverse(start)
+    # What they do not lead back to could not be trained.
+    for (name, x), y in zip(named(start), jax.tree.leaves(bijector.forward(free)), strict=True):
         x, y = np.asarray(x), np.asarray(y)
         if not np.allclose(x, y, rtol=1e-3, atol=np.finfo(x.dtype).tiny):
-            name = f"params{jax.tree_util.keystr(path)}"
             raise ValueError(f"{name}: got {x}, want it inside its bijector's range, which has {y}")
+    return start, free
 
 
-def _waited(state: _State, patience: int | None) -> bool:
+def _check_loss(run: MonteCarlo) -> None:
+    """Refuse what has no gradient, or no value where the fit starts."""
+    check_array("loss", run.mean, shape=())
+    if not jnp.issubdtype(run.values.dtype, jnp.floating):
+        raise TypeError(f"loss: got dtype {run.values.dtype}, want floating numbers")
+    if not np.isfinite(run.mean):
+        raise ValueError(f"loss: got a mean of {run.mean} at the start, want a finite one")
+
+
+def _no_history(start: Any) -> FitHistory:
+    none, params = np.zeros(0), jax.tree.map(lambda x: np.asarray(x)[None], start)
+    count, flag = none.astype(int), none.astype(bool)
+    return FitHistory(none, none, none, flag, params, count, none, none, count)
+
+
+def _grown(history: FitHistory, **rows: Any) -> FitHistory:
+    """Return a history whose named fields are a row longer."""
+    add = lambda table, row: np.concatenate([table, np.asarray(row)[None]])
+    longer = {name: jax.tree.map(add, getattr(history, name), row) for name, row in rows.items()}
+    return history._replace(**longer)
+
+
+def _last(table: Any) -> Any:
+    return jax.tree.map(lambda rows: rows[-1], table)
+
+
+def _waited(history: FitHistory, patience: int | None) -> bool:
     """Whether so many evaluations have passed since the best one."""
-    means = [evaluation.mean for evaluation in state.evaluations]
-    return patience is not None and len(means) - 1 - int(np.nanargmin(means)) >= patience
-
-
-def _stacked(state: _State) -> Any:
-    stack = lambda rows: jax.tree.map(lambda *x: np.stack(x), *rows)
-    return state._replace(made=stack(state.made), evaluations=stack(state.evaluations))
-
-
-def _resume(folder: pathlib.Path, made_by: str, state: _State) -> _State:
-    """Return the state that stands in the folder, or the given one where there is none."""
-    like = state._replace(made=state.made[0], evaluations=_Evaluation(0, 0, 0))
-    kept = read(folder, made_by, like)
-    if kept is None:
-        return state
-    rows = lambda table: [
-        jax.tree.map(lambda x, at=n: x[at], table) for n in range(len(jax.tree.leaves(table)[0]))
-    ]
-    return kept._replace(made=rows(kept.made), evaluations=rows(kept.evaluations))
-
-
-def _result(state: _State, batch: int, holdout: int, *, stopped: bool) -> FitResult:
-    table = _stacked(state)
-    tried, made = table.evaluations, table.made
-    best = int(np.nanargmin(tried.mean))
-    step = int(tried.step[best])
-    return FitResult(
-        params=jax.tree.map(jnp.asarray, state.made[step].params),
-        best_step=step,
-        held_out=float(tried.mean[best]),
-        held_out_error=float(tried.error[best]),
-        stopped_early=stopped,
-        history=FitHistory(
-            loss=made.loss[1:],
-            loss_error=made.loss_error[1:],
-            grad_norm=made.grad_norm[1:],
-            finite=made.finite[1:],
-            params=made.params,
-            evaluated=tried.step,
-            held_out=tried.mean,
-            held_out_error=tried.error,
-            realizations=tried.step * batch + holdout * np.arange(1, len(tried.step) + 1),
-        ),
-    )
+    held_out = history.held_out
+    return patience is not None and len(held_out) - 1 - int(np.nanargmin(held_out)) >= patience

@@ -36,7 +36,18 @@ def test_a_wrong_shape_is_told_with_what_is_wanted(value, message):
 
 
 @pytest.mark.parametrize(
-    "value", ["a word", [0.0, 1.0], np.array([1j]), jax.random.key(0), np.array(["a"]), object()]
+    "value",
+    [
+        "a word",
+        "a",
+        "f",
+        None,
+        [0.0, 1.0],
+        np.array([1j]),
+        jax.random.key(0),
+        np.array(["a"]),
+        object(),
+    ],
 )
 def test_what_is_no_array_of_real_numbers_is_a_type_error(value):
     with pytest.raises(TypeError, match="points_m: got"):

@@ -97,8 +97,7 @@ def test_clipping_bounds_the_step_and_not_the_norm_that_is_reported():
     same(unclipped, run(optimizer=optax.sgd(0.1), steps=3))
 
 
-@pytest.mark.parametrize("cut", [10, 13, 20])
-def test_an_interrupted_run_goes_on_bit_for_bit(tmp_path, cut):
+def goes_on_bit_for_bit(folder, cut, run):
     class Stop(Exception):
         pass
 
@@ -108,11 +107,16 @@ def test_an_interrupted_run_goes_on_bit_for_bit(tmp_path, cut):
 
     expected = run()
     with pytest.raises(Stop):
-        run(checkpoint=tmp_path, progress=stop)
+        run(checkpoint=folder, progress=stop)
     seen = []
-    same(run(checkpoint=tmp_path, progress=lambda *at: seen.append(at)), expected)
+    same(run(checkpoint=folder, progress=lambda *at: seen.append(at)), expected)
     assert seen[0] == (cut - cut % 10 + 1, 25)
-    same(run(checkpoint=tmp_path), expected)
+    same(run(checkpoint=folder), expected)
+
+
+@pytest.mark.parametrize("cut", [10, 13, 20])
+def test_an_interrupted_run_goes_on_bit_for_bit(tmp_path, cut):
+    goes_on_bit_for_bit(tmp_path, cut, run)
 
 
 def test_a_finished_run_can_be_made_longer(tmp_path):
@@ -168,8 +172,9 @@ def broken(params, key):
     return jnp.where(params["x"] > 0.5, jnp.nan, distance**2) + 0.0 * jax.random.normal(key)
 
 
-def test_a_step_that_is_not_finite_is_left_out_and_marked():
-    result = run(broken, {"x": 0.3}, optax.sgd(0.2), None, steps=5)
+def test_a_step_that_is_not_finite_is_left_out_and_marked_and_there_is_a_warning():
+    with pytest.warns(RuntimeWarning, match="fit: 4 of 5 steps were left out"):
+        result = run(broken, {"x": 0.3}, optax.sgd(0.2), None, steps=5)
     history = result.history
     assert history.finite.tolist() == [True, False, False, False, False]
     assert np.isfinite(history.params["x"]).all()
@@ -177,6 +182,24 @@ def test_a_step_that_is_not_finite_is_left_out_and_marked():
     assert result.params["x"] == 0.3
     with pytest.raises(ValueError, match="loss: got a mean of nan at the start"):
         run(broken, {"x": 0.7}, optax.sgd(0.2), None, steps=5)
+
+
+@pytest.mark.parametrize("fresh", [True, False])
+def test_a_fit_without_a_step_is_an_error(fresh):
+    def no_slope(params, key):
+        return jnp.abs(params["x"]) ** 0.5 + 0.0 * jax.random.normal(key)
+
+    message = "loss: got 0.0 and a gradient of norm (nan|inf), as in all 10 steps, want finite ones"
+    with pytest.raises(ValueError, match=message):
+        run(no_slope, {"x": 0.0}, bijectors=None, fresh=fresh)
+
+
+def test_a_change_that_is_not_finite_is_left_out_too():
+    wild = optax.sgd(lambda count: jnp.where(count == 1, jnp.nan, 0.1))
+    with pytest.warns(RuntimeWarning, match="fit: 2 of 3 steps were left out"):
+        result = run(optimizer=wild, steps=3)
+    assert result.history.finite.tolist() == [True, False, False]
+    assert np.isfinite(result.history.params["shares"]).all()
 
 
 @pytest.mark.parametrize(
@@ -212,16 +235,60 @@ def test_the_loss_is_compiled_once_for_all_fits():
     assert len(traces) <= 4  # values, gradients, and the looks that JAX takes at either
 
 
-def test_arguments_that_cannot_be_are_refused():
-    for name in ("steps", "batch", "holdout", "every", "patience"):
-        with pytest.raises(ValueError, match=f"{name}: got 0, want an int ≥ 1"):
-            run(**{name: 0})
-    with pytest.raises(TypeError, match=r"key: got int, want a key from jax\.random\.key"):
-        run(key=0)
-    with pytest.raises(ValueError, match=r"clip: got -1\.0, want a positive number"):
-        run(clip=-1.0)
-    with pytest.raises(TypeError, match="bijectors: got float"):
-        run(bijectors=2.0)
+def two(params, key):
+    return params["shares"][:2] + jax.random.normal(key, (2,))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        *(({name: 0}, f"{name}: got 0, want an int ≥ 1")
+          for name in ("steps", "batch", "holdout", "every", "patience", "micro_batch")),
+        ({"key": 0}, r"key: got int, want a key from jax\.random\.key"),
+        ({"clip": -1.0}, r"clip: got -1\.0, want a positive number"),
+        ({"clip": "a"}, "clip: got str, want an array of numbers"),
+        ({"loss": 3}, "loss: got int, want a hashable function"),
+        ({"loss": two}, r"loss: got shape \[2\], want \[\]"),
+        ({"loss": lambda params, key: {"a": params["scale"]}}, "loss: got dict, want an array"),
+        ({"loss": lambda params, key: params["scale"] > 0}, "loss: got dtype bool, want floating"),
+        ({"optimizer": "adam"}, "optimizer: got str, want one of optax, as optax.adam"),
+        ({"optimizer": optax.adam}, "optimizer: got function, want one of optax"),
+        ({"params": START | {"scale": "a"}}, r"params\['scale'\]: got str, want an array"),
+        ({"bijectors": 2.0}, "bijectors: got float, want a pytree of Bijector"),
+        ({"bijectors": {"scale": positive()}}, r"bijectors: got .*'scale'.*, want .*'shares'"),
+        ({"bijectors": simplex()}, r"bijectors: got .*, want .*: y: got shape \[\], want \[n\]"),
+    ],
+)  # fmt: skip
+def test_arguments_that_cannot_be_are_named(change, message):
+    with pytest.raises((TypeError, ValueError), match=message):
+        run(**change)
+
+
+@pytest.mark.parametrize("left", [0, 1, 100, 0.5, 0.9, 1.0])
+def test_a_broken_checkpoint_is_named(tmp_path, left):
+    run(checkpoint=tmp_path, steps=1)
+    file = tmp_path / FILE
+    content = file.read_bytes()
+    broken = (
+        b"junk" * 100 if left == 1.0 else content[: int(left * (len(content) if left < 1 else 1))]
+    )
+    file.write_bytes(broken)
+    with pytest.raises(
+        ValueError, match=f"checkpoint: got .*{FILE}, which is broken .* want one of"
+    ):
+        run(checkpoint=tmp_path, steps=1)
+
+
+def test_other_files_in_a_checkpoint_s_place_are_named(tmp_path):
+    np.save(tmp_path / "plain.npy", np.zeros(3))
+    (tmp_path / "plain.npy").rename(tmp_path / FILE)
+    with pytest.raises(ValueError, match=f"checkpoint: got .*{FILE}, which is broken"):
+        run(checkpoint=tmp_path, steps=1)
+    np.savez(tmp_path / FILE, other=np.zeros(3))
+    with pytest.raises(ValueError, match=f"checkpoint: got .*{FILE} of another fit"):
+        run(checkpoint=tmp_path, steps=1)
+    with pytest.raises(ValueError, match=f"checkpoint: got .*{FILE}, which is a file, want a fold"):
+        run(checkpoint=tmp_path / FILE, steps=1)
 
 
 def test_a_missing_checkpoint_is_none(tmp_path):
@@ -240,3 +307,61 @@ def test_a_start_outside_its_bijectors_range_is_refused(start):
 def test_an_optimizer_that_reads_the_loss_gets_it():
     result = run(optimizer=optax.polyak_sgd(max_learning_rate=0.5))
     assert result.held_out < run().history.held_out[0]
+
+
+@functools.cache
+def least():
+    """The parameters of least mean loss over the realizations of a fit that are common."""
+    keys = [jax.random.fold_in(jax.random.fold_in(jax.random.fold_in(KEY, 0), 0), trial)
+            for trial in range(8)]  # fmt: skip
+    noise = 0.1 * np.mean([jax.random.normal(key, (4,)) for key in keys], axis=0)
+    middle = np.array([0.2, 0.3, 0.5]) + noise[1:]
+    return {"scale": 5.0 * np.exp(noise[0]), "shares": middle - (middle.sum() - 1.0) / 3}
+
+
+def test_lbfgs_arrives_at_the_least_of_common_realizations():
+    result = run(optimizer=optax.lbfgs(), fresh=False)
+    at = jax.tree.map(lambda x: x[-1], result.history.params)
+    jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=1e-8), at, least())
+    far = run(optimizer=optax.adam(0.2), fresh=False)
+    assert result.history.loss[10] < far.history.loss[-1]
+
+
+@pytest.mark.parametrize(
+    "search",
+    [optax.scale_by_backtracking_linesearch(20), optax.scale_by_zoom_linesearch(20)],
+)
+def test_line_searches_never_climb(search):
+    history = run(optimizer=optax.chain(optax.sgd(1.0), search), fresh=False).history
+    assert (np.diff(history.loss) <= 1e-12).all()
+    assert history.loss[-1] < history.loss[0] / 10
+
+
+@pytest.mark.parametrize("cut", [10, 13])
+def test_a_fit_by_line_search_goes_on_bit_for_bit(tmp_path, cut):
+    goes_on_bit_for_bit(tmp_path, cut, functools.partial(run, optimizer=optax.lbfgs(), fresh=False))
+
+
+@pytest.mark.parametrize("fresh", [True, False])
+def test_what_a_line_search_evaluates_is_the_mean_loss_of_the_step(fresh):
+    def update(gradient, state, params, *, value, value_fn, **_):
+        again, slope = jax.value_and_grad(value_fn)(params)
+        differ = jax.tree.map(lambda x, y: 1e6 * jnp.abs(x - y), slope, gradient)
+        return jax.tree.map(lambda x: x + 1e6 * jnp.abs(again - value), differ), state
+
+    still = optax.GradientTransformationExtraArgs(lambda params: optax.EmptyState(), update)
+    history = run(optimizer=still, fresh=fresh, steps=4).history
+    for rows in history.params.values():
+        np.testing.assert_allclose(rows, np.broadcast_to(rows[0], rows.shape), rtol=1e-7)
+    assert len(set(history.loss.round(9))) == (4 if fresh else 1)
+
+
+def test_a_line_search_gets_the_slope_that_is_not_clipped():
+    def update(gradient, state, params, *, grad, **_):
+        ratio = optax.tree.norm(grad) / optax.tree.norm(gradient)
+        return jax.tree.map(lambda x: ratio + 0.0 * x, gradient), state
+
+    told = optax.GradientTransformationExtraArgs(lambda params: optax.EmptyState(), update)
+    history = run(optimizer=told, clip=1e-1, steps=1).history
+    moved = np.log(history.params["scale"][1] / history.params["scale"][0])
+    np.testing.assert_allclose(moved, history.grad_norm[0] / 1e-1, rtol=1e-9)
