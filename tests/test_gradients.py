@@ -140,10 +140,12 @@ def range_bearing(state):
     return models.range_bearing(state, pose)
 
 
-def sinkhorn(x, y, cutoff):
-    return tuning.sinkhorn_ospa(
-        x, FULL3, y, PARTLY, cutoff=cutoff, order=2.0, temperature=0.1, iterations=20
-    ).distance
+def entropic(score):
+    return lambda x, y, cutoff: (
+        score(
+            x, FULL3, y, PARTLY, cutoff=cutoff, order=2.0, temperature=0.1, iterations=20
+        ).distance
+    )
 
 
 def sets(score, **more):
@@ -340,7 +342,8 @@ CASES = {
         ),
         [(R, (4,)), (P, ())],
     ),
-    "sinkhorn_ospa": (sinkhorn, [(R, (3, 2)), (R, (4, 2)), (P, ())]),
+    "sinkhorn_ospa": (entropic(tuning.sinkhorn_ospa), [(R, (3, 2)), (R, (4, 2)), (P, ())]),
+    "sinkhorn_gospa": (entropic(tuning.sinkhorn_gospa), [(R, (3, 2)), (R, (4, 2)), (P, ())]),
     "false_track_loss": (
         lambda g, t: tuning.false_track_loss(
             g, jnp.asarray([2.0, 0.3, -0.2, 0.5], g.dtype), PARTLY, false_per_run=0.3, temperature=t
@@ -369,6 +372,7 @@ LONG = [
     "hu",
     "soft_zernike",
     "sinkhorn_ospa",
+    "sinkhorn_gospa",
     "ospa",
     "gospa",
     "ospa2",

@@ -23,7 +23,6 @@ from jaxtrack.association import (
 from jaxtrack.clustering import cloud
 from jaxtrack.hough import slope_intercept
 from jaxtrack.hough.votes import Votes, accumulate, evaluate, hard, soft
-from jaxtrack.metrics import ospa
 from jaxtrack.numerics.choice import choose, greater, step
 from jaxtrack.tracking import lifecycle, soft_lifecycle
 from jaxtrack.tracking.lifecycle import Births
@@ -176,6 +175,7 @@ def deleted():
     return clustering.delete(FOUR, ONES.sum(), found, params=DELETION).astype(float)
 
 
+SCORE = {"cutoff": 1.0, "order": 2.0}
 SETS = (draw(9, 3, 2), jnp.ones(3, bool), draw(10, 4, 2), jnp.ones(4, bool))
 TABLE = {"votes": jnp.array([9.0, 4.0, 2.0, 1.0]), "mask": jnp.ones(4, bool), "false_per_run": 0.4}
 NEAR_ONE = jnp.array([[True, False], [False, False], [False, True], [False, False]])
@@ -240,13 +240,15 @@ PARTS = {
         1e-6,
     ),
     "PMHT": (functools.partial(associated, pmht.associate), nearest_track, (0.5, 0.1, 0.02), 1e-6),
-    "Sinkhorn": (
-        lambda t: (
-            tuning.sinkhorn_ospa(
-                *SETS, cutoff=1.0, order=2.0, temperature=t, iterations=3000
-            ).distance
-        ),
-        lambda: ospa(*SETS, cutoff=1.0, order=2.0).distance,
+    "smooth OSPA": (
+        lambda t: tuning.sinkhorn_ospa(*SETS, **SCORE, temperature=t, iterations=3000).distance,
+        lambda: tuning.ospa(*SETS, **SCORE).distance,
+        WARM,
+        1e-2,
+    ),
+    "smooth GOSPA": (
+        lambda t: tuning.sinkhorn_gospa(*SETS, **SCORE, temperature=t, iterations=3000).distance,
+        lambda: tuning.gospa(*SETS, **SCORE).distance,
         WARM,
         1e-2,
     ),

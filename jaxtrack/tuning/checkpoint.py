@@ -78,7 +78,7 @@ def read(folder: pathlib.Path, made_by: str, like: Any) -> Any | None:
     file = folder / FILE
     if not file.exists():
         return None
-    want = "want one of a fit with the same key, parameters, optimizer and settings, or an empty folder"
+    want = "want that of a fit with the same key, parameters and settings, or an empty folder"
     try:
         with file.open("rb") as opened, np.load(opened) as kept:
             arrays = dict(kept)

@@ -1,7 +1,9 @@
-"""Losses of one realization, smooth in what is tuned.
+"""Losses of one realization, smooth in what is tuned, and their mean over many.
 
-OSPA and GOSPA need no other form than `jaxtrack.metrics` has: the assignment is exact, the gradient
-is that of the assignment at hand.
+Of sets of targets: `ospa` and `gospa` as `jaxtrack.metrics` has them, whose assignment is exact
+and whose gradient is that of the assignment at hand; `sinkhorn_ospa` and `sinkhorn_gospa`, smooth
+where those have kinks, with a bound of the difference. Of votes: `candidate_softmax`. Of filters:
+`negative_log_likelihood`. Of gates: `false_track_loss`.
 """
 
 import functools
@@ -11,11 +13,25 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxtrack.metrics import gospa, ospa
 from jaxtrack.montecarlo import MonteCarlo, monte_carlo
 from jaxtrack.numerics.checks import check_array, check_known, check_mask, check_positive
 from jaxtrack.numerics.masked import masked_logsumexp, masked_mean, masked_sum
 from jaxtrack.numerics.safe import as_float
+from jaxtrack.tuning.sinkhorn import SinkhornDistance, sinkhorn_gospa, sinkhorn_ospa
 from jaxtrack.types import Array, Key
+
+__all__ = [
+    "SinkhornDistance",
+    "candidate_softmax",
+    "false_track_loss",
+    "gospa",
+    "mean_loss",
+    "negative_log_likelihood",
+    "ospa",
+    "sinkhorn_gospa",
+    "sinkhorn_ospa",
+]
 
 
 def candidate_softmax(scores: Array, mask: Array, near: Array, *, temperature: Any = 1.0) -> Array:

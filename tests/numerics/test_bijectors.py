@@ -138,5 +138,7 @@ def test_a_tree_of_bijectors_is_a_bijector_of_trees():
 def test_what_is_no_tree_of_bijectors_is_refused():
     with pytest.raises(TypeError, match="bijectors: got float, want a pytree of Bijector"):
         numerics.bijector_of({"gate": 1.0})
-    with pytest.raises(ValueError, match="bijectors: got .*'gate'.*, want ones that fit .*'noise'"):
+    with pytest.raises(
+        ValueError, match=r"bijectors: got .*'gate'.*, want ones that fit .*'noise'"
+    ):
         numerics.bijector_of({"gate": numerics.identity()}).inverse({"noise": 1.0})

@@ -5,13 +5,26 @@ import math
 import numpy as np
 
 
-def sinkhorn_ospa(estimates, truths, cutoff, order, temperature, rounds=20000):
-    """Return the minimum of the smoothed OSPA by scaling rows and columns in plain numbers."""
+def sinkhorn_ospa(estimates, truths, cutoff, order, temperature):
+    """Return the minimum of the smoothed OSPA: a missing member costs c^p, and all is a mean."""
+    size = max(len(estimates), len(truths), 1)
+    total = entropic(estimates, truths, cutoff, order, temperature, missing=1.0)
+    return cutoff * (total / size) ** (1 / order)
+
+
+def sinkhorn_gospa(estimates, truths, cutoff, order, temperature):
+    """Return the minimum of the smoothed GOSPA: a missing member costs c^p / 2, all is a sum."""
+    total = entropic(estimates, truths, cutoff, order, temperature, missing=0.5)
+    return cutoff * total ** (1 / order)
+
+
+def entropic(estimates, truths, cutoff, order, temperature, missing, rounds=20000):
+    """Return the least cost, in units of c^p, by scaling rows and columns in plain numbers."""
     m, n = len(estimates), len(truths)
     size = max(m, n)
     if size == 0:
         return 0.0
-    cost = np.ones((size, size))  # a stand-in for every missing member
+    cost = np.full((size, size), missing)  # a stand-in for every missing member
     for i in range(m):
         for j in range(n):
             distance = float(np.linalg.norm(np.asarray(estimates[i]) - np.asarray(truths[j])))
@@ -27,7 +40,7 @@ def sinkhorn_ospa(estimates, truths, cutoff, order, temperature, rounds=20000):
         for j in range(size):
             total += plan[i, j] * cost[i, j]
             total += temperature * plan[i, j] * math.log(plan[i, j] * size)
-    return cutoff * (total / size) ** (1 / order)
+    return total
 
 
 def candidate_softmax(scores, near, temperature):

@@ -274,7 +274,7 @@ def test_a_broken_checkpoint_is_named(tmp_path, left):
     )
     file.write_bytes(broken)
     with pytest.raises(
-        ValueError, match=f"checkpoint: got .*{FILE}, which is broken .* want one of"
+        ValueError, match=f"checkpoint: got .*{FILE}, which is broken .* want that of"
     ):
         run(checkpoint=tmp_path, steps=1)
 
