@@ -23,7 +23,7 @@ from jaxtrack.sensors import (
     meeting_targets,
     observe_echoes,
 )
-from jaxtrack.tracking import KalmanTrackerParams, kalman_tracker
+from jaxtrack.tracking import KalmanTrackerParams, kalman_tracker, soft_lives
 from jaxtrack.tuning import falsify, write_regression_scenes
 from jaxtrack.types import Scan
 
@@ -71,8 +71,8 @@ def simulate(scene, key):
     return truth, fade(seen.scans, seen.origin, fades), rest
 
 
-def follow(truth, scans):
-    """Return places [T, 2, 2] of the tracks that started on either target, and where they are.
+def follow(truth, scans, lives=None):
+    """Return the tracks [T, 2] that started on either target, and where they still are those.
 
     Before the first look there are three that show the targets and nothing else, so that slots 0
     and 1 hold their tracks.
@@ -86,30 +86,32 @@ def follow(truth, scans):
     weight = None if scans.weight is None else jnp.ones((LEAD, places))
     lead = Scan(time_s, jnp.ones(LEAD, bool), at, there, weight=weight)
     whole = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), lead, scans)
-    tracker = kalman_tracker(PARAMS, max_tracks=8)
+    tracker = kalman_tracker(PARAMS, max_tracks=8, lives=lives)
     _, info = jax.lax.scan(jax.checkpoint(tracker.step), tracker.init(jax.random.key(0)), whole)
     tracks = jax.tree.map(
         lambda x: x[LEAD:, :2], info.tracks._replace(time_s=whole.time_s[:, None])
     )
-    return tracks.mean[..., :2], tracks.mask & (
-        tracks.identity == jnp.arange(2, dtype=jnp.int32)[None, :]
-    )
+    return tracks, tracks.mask & (tracks.identity == jnp.arange(2, dtype=jnp.int32)[None, :])
 
 
 def loss(scene, key):
-    """Return how far off the tracks end, in [0, 1]; a lost one is at 1."""
+    """Return how far off the tracks end, in [0, 1]; what is lost of them is at 1.
+
+    Their lives are soft: misses wear a track down before it is lost, and that has a slope.
+    """
     truth, scans, _ = simulate(scene, key)
-    found, there = follow(truth, scans)
-    squared = ((found - truth.state[..., :2]) ** 2).sum(-1)
-    return jnp.where(there, squared / (squared + AWAY_M**2), 1.0)[-LAST:].mean()
+    tracks, there = follow(truth, scans, soft_lives())
+    squared = ((tracks.mean[..., :2] - truth.state[..., :2]) ** 2).sum(-1)
+    kept = jnp.where(there, tracks.existence, 0.0)
+    return (1.0 - kept * AWAY_M**2 / (squared + AWAY_M**2))[-LAST:].mean()
 
 
 def verdict(scene, key):
     """Return whether tracks were exchanged or lost, where fading targets are really not seen."""
     truth, scans, rest = simulate(scene, key)
-    found, there = follow(truth, drop(rest, scans))
-    seen = swap_and_loss(found, truth.state[..., :2], there, limit_m=AWAY_M)
-    share = lambda x: x.astype(found.dtype)
+    tracks, there = follow(truth, drop(rest, scans))
+    seen = swap_and_loss(tracks.mean[..., :2], truth.state[..., :2], there, limit_m=AWAY_M)
+    share = lambda x: x.astype(tracks.mean.dtype)
     return {
         "broken": share(seen.swap | seen.loss),
         "swap": share(seen.swap),
