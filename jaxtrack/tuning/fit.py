@@ -152,69 +152,62 @@ def fit(
     made_by = digest(key, (start, free, memory), *settings)
     if folder is not None:
         state = read(folder, made_by, state) or state
-        if (made := len(state.history.loss)) > steps:
-            kept = f"{made} steps stand in {folder}"
-            raise ValueError(f"steps: got {steps}, want no fewer than what was made: {kept}")
+    free, memory, history = state
+    made, tried = len(history.loss), len(history.evaluated)
+    if made > steps:
+        kept = f"{made} steps stand in {folder}"
+        raise ValueError(f"steps: got {steps}, want no fewer than what was made: {kept}")
+    history = _sized(history, steps, 2 + steps // every)
 
     value, slope = programs(loss)
     training, held_out = (jax.random.fold_in(key, stream) for stream in (_TRAINING, _HELD_OUT))
     on_batch = functools.partial(monte_carlo, trials=batch, micro_batch=micro_batch)
     advance = _advance(optimizer, bijector, clip, functools.partial(on_batch, value))
+    at = lambda step: jax.tree.map(lambda table: table[step], history.params)
 
-    def evaluated(state: _State) -> _State:
-        history = state.history
-        at, done = _last(history.params), len(history.loss)
-        run = mean_loss(loss, at, key=held_out, realizations=holdout, micro_batch=micro_batch)
-        if done == 0:
+    def evaluate() -> None:
+        nonlocal tried
+        run = mean_loss(loss, at(made), key=held_out, realizations=holdout, micro_batch=micro_batch)
+        if made == 0:
             _check_loss(run)
-        elif not history.finite.any():
-            got = f"{history.loss[-1]} and a gradient of norm {history.grad_norm[-1]}"
-            raise ValueError(f"loss: got {got}, as in all {done} steps, want finite ones")
-        history = _grown(
-            history,
-            evaluated=done,
-            held_out=run.mean,
-            held_out_error=run.standard_error,
-            realizations=done * batch + (len(history.evaluated) + 1) * holdout,
-        )
-        state = state._replace(history=history)
-        if folder is not None and done % every == 0:
-            write(folder, made_by, state)
-        return state
+        elif not history.finite[:made].any():
+            got = f"{history.loss[made - 1]} and a gradient of norm {history.grad_norm[made - 1]}"
+            raise ValueError(f"loss: got {got}, as in all {made} steps, want finite ones")
+        spent = made * batch + (tried + 1) * holdout
+        found = {"held_out": run.mean, "held_out_error": run.standard_error}
+        _note(history, tried, evaluated=made, realizations=spent, **found)
+        tried += 1
+        if folder is not None and made % every == 0:
+            write(folder, made_by, _State(free, memory, _sized(history, made, tried)))
 
-    if not len(state.history.evaluated):
-        state = evaluated(state)
-    while (done := len(state.history.loss) + 1) <= steps and not _waited(state.history, patience):
-        step_key = jax.random.fold_in(training, done if fresh else 0)
-        run = on_batch(slope, step_key, params=_last(state.history.params))
-        free, memory, *seen = advance(state.free, state.memory, *run.mean, step_key)
+    if tried == 0:
+        evaluate()
+    while made < steps and not _waited(history.held_out[:tried], patience):
+        step_key = jax.random.fold_in(training, made + 1 if fresh else 0)
+        run = on_batch(slope, step_key, params=at(made))
+        free, memory, *seen = advance(free, memory, *run.mean, step_key)
         norm, finite, after = jax.device_get(seen)
-        history = _grown(
-            state.history,
-            loss=run.mean[0],
-            loss_error=run.standard_error[0],
-            grad_norm=norm,
-            finite=finite,
-            params=after,
-        )
-        state = _State(free, memory, history)
-        if done % every == 0 or done == steps:
-            state = evaluated(state)
+        found = {"loss": run.mean[0], "loss_error": run.standard_error[0]}
+        _note(history, made, grad_norm=norm, finite=finite, **found)
+        made += 1
+        _note(history, made, params=after)
+        if made % every == 0 or made == steps:
+            evaluate()
         if progress is not None:
-            progress(done, steps)
+            progress(made, steps)
 
-    history = state.history
+    history = _sized(history, made, tried)
     if (left_out := int((~history.finite).sum())) > 0:
-        what = f"{left_out} of {len(history.finite)} steps were left out"
+        what = f"{left_out} of {made} steps were left out"
         warnings.warn(f"fit: {what}, as they were not finite", RuntimeWarning, stacklevel=2)
     best = int(np.nanargmin(history.held_out))
     step = int(history.evaluated[best])
     return FitResult(
-        params=jax.tree.map(lambda rows: jnp.asarray(rows[step]), history.params),
+        params=jax.tree.map(jnp.asarray, at(step)),
         best_step=step,
         held_out=float(history.held_out[best]),
         held_out_error=float(history.held_out_error[best]),
-        stopped_early=_waited(history, patience),
+        stopped_early=_waited(history.held_out, patience),
         history=history,
     )
 
@@ -283,18 +276,23 @@ def _no_history(start: Any) -> FitHistory:
     return FitHistory(none, none, none, flag, params, count, none, none, count)
 
 
-def _grown(history: FitHistory, **rows: Any) -> FitHistory:
-    """Return a history whose named fields are a row longer."""
-    add = lambda table, row: np.concatenate([table, np.asarray(row)[None]])
-    longer = {name: jax.tree.map(add, getattr(history, name), row) for name, row in rows.items()}
-    return history._replace(**longer)
+def _sized(history: FitHistory, steps: int, evaluations: int) -> FitHistory:
+    """Return a history with so many rows: the first of those there are, or room for more."""
+
+    def sized(rows: int, table: np.ndarray) -> np.ndarray:
+        more = max(rows - len(table), 0)
+        return np.concatenate([table, np.zeros((more, *table.shape[1:]), table.dtype)])[:rows]
+
+    rows = [*[steps] * 4, steps + 1, *[evaluations] * 4]
+    tables = zip(rows, history, strict=True)
+    return FitHistory._make(jax.tree.map(functools.partial(sized, n), x) for n, x in tables)
 
 
-def _last(table: Any) -> Any:
-    return jax.tree.map(lambda rows: rows[-1], table)
+def _note(history: FitHistory, row: int, **found: Any) -> None:
+    for name, values in found.items():
+        jax.tree.map(lambda table, x: table.__setitem__(row, x), getattr(history, name), values)
 
 
-def _waited(history: FitHistory, patience: int | None) -> bool:
+def _waited(held_out: np.ndarray, patience: int | None) -> bool:
     """Whether so many evaluations have passed since the best one."""
-    held_out = history.held_out
     return patience is not None and len(held_out) - 1 - int(np.nanargmin(held_out)) >= patience
