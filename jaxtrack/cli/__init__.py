@@ -51,8 +51,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if (error.name or "").partition(".")[0] not in _EXTRAS:
             raise
         return fail(f"{error.name} is not installed: pip install 'jaxtrack[studies,plots]'")
-    except KeyboardInterrupt:
-        print("jaxtrack: interrupted", file=sys.stderr)
+    except KeyboardInterrupt as error:
+        print(f"jaxtrack: interrupted {error}".rstrip(), file=sys.stderr)
         return 130
     except SystemExit as error:  # --help, or options that tyro has already complained of
         return error.code if isinstance(error.code, int) else 2

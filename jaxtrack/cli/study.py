@@ -39,7 +39,8 @@ def study(
         action: run a file (and go on, if its folder is there); resume or show a folder, or write
             its report.html, also before it is complete.
         target: of run: a TOML file, or the name of one that comes with jaxtrack; else a folder.
-        out: of run: the folder for the results; results/NAME if it is not given.
+        out: of run: the folder for the results; results/NAME if it is not given. Of report: the
+            folder for report.html; the study's if it is not given.
         coordinator_address: HOST:PORT, a free port of the machine of process 0.
         num_processes: how many there are.
         process_id: which of them this is, from 0 on.
@@ -51,8 +52,8 @@ def study(
     from jaxtrack.studies.study_report import write_report
 
     joint = (coordinator_address, num_processes, process_id)
-    if out is not None and action != "run":
-        return fail(f"--out: is for run alone; {action} takes the folder itself")
+    if out is not None and action in ("status", "resume"):
+        return fail(f"--out: is for run and report; {action} takes the folder itself")
     if action in ("status", "report") and any(value is not None for value in joint):
         return fail("--coordinator-address, --num-processes, --process-id: are for run and resume")
     try:
@@ -60,14 +61,13 @@ def study(
             _show(status_of(target), target)
             return 0
         if action == "report":
-            print(write_report(status_of(target), target))
+            print(write_report(status_of(target), target, out))
             return 0
         first = _join(*joint)
         with together() as team:
             design, folder = _study_of(action, target, out)
-            team.agree()
-        with _interrupts() as stopped, _progress_line(shown=first) as report:
-            outcome = run_study(design, folder, on_progress=report, stopped=stopped)
+            with _interrupts() as stopped, _progress_line(shown=first) as report:
+                outcome = run_study(design, folder, team=team, on_progress=report, stopped=stopped)
     except (StudyError, OSError) as error:
         return fail(line(error))
     if first:
@@ -158,12 +158,11 @@ def _progress_line(*, shown: bool) -> Iterator[Callable[["Progress"], None]]:
         if time.monotonic() - said < every_s:
             return
         said = time.monotonic()
-        text = progress_text(progress)
         if drawn:  # a line that wraps could not be drawn over
-            width = shutil.get_terminal_size().columns - 1
-            print(f"\r\x1b[K{text[:width]}", end="", file=screen, flush=True)
+            text = progress_text(progress, shutil.get_terminal_size().columns - 1)
+            print(f"\r\x1b[K{text}", end="", file=screen, flush=True)
         else:
-            print(text, file=screen, flush=True)
+            print(progress_text(progress), file=screen, flush=True)
 
     try:
         yield report
@@ -172,31 +171,44 @@ def _progress_line(*, shown: bool) -> Iterator[Callable[["Progress"], None]]:
             print("\r\x1b[K", end="", file=screen, flush=True)
 
 
-def progress_text(progress: "Progress") -> str:
+def progress_text(progress: "Progress", width: int | None = None) -> str:
     """Return share done, trials, rate, time left and the metric that is known least.
+
+    What there is no room for: first the trials, then the end of the metric's name.
 
     Example:
         >>> from jaxtrack.studies.run import Progress
         >>> progress_text(Progress(250, 1000, 50.0, ("mean.error_m", 1.25, 0.031)))
         '25 %, 250 of 1000 trials, 50 a second, 15 s left, mean.error_m 1.25 ± .031'
+        >>> progress_text(Progress(250, 1000, 50.0, ("mean.error_m", 1.25, 0.031)), width=48)
+        '25 %, 50 a second, 15 s left, mean.… 1.25 ± .031'
     """
     from jaxtrack.studies.tables import duration, plus_minus
 
     done, total, rate = progress.done, progress.total, progress.rate
     left = duration(max(total - done, 0) / rate) if rate > 0 else "?"
     share = math.floor(100 * min(done / total, 1))
-    text = f"{share} %, {done:.0f} of {total:.0f} trials, {rate:.3g} a second, {left} left"
-    if progress.last is None:
+    parts = [f"{share} %", f"{done:.0f} of {total:.0f} trials", f"{rate:.3g} a second"]
+    parts.append(f"{left} left")
+    if progress.last is not None:
+        name, mean, error = progress.last
+        parts.append(f"{name} {plus_minus(mean, error)}")
+    text = ", ".join(parts)
+    if width is None or len(text) <= width:
         return text
-    name, mean, error = progress.last
-    return f"{text}, {name} {plus_minus(mean, error)}"
+    del parts[1]
+    text = ", ".join(parts)
+    if progress.last is not None and len(text) > width:
+        kept = max(len(name) - (len(text) - width) - 1, 0)
+        text = text.replace(f" {name} ", f" {name[:kept]}… ")
+    return text[:width]
 
 
 def _show(outcome: "Outcome", folder: pathlib.Path) -> None:
     """Print how far a study is, its table, and how to go on."""
     from jaxtrack.studies import summary
     from jaxtrack.studies.report_compared import count
-    from jaxtrack.studies.study_report import compared, table_of
+    from jaxtrack.studies.study_report import compared, spans, table_of
     from jaxtrack.studies.tables import beneath
 
     console = console_of_tables()
@@ -216,8 +228,8 @@ def _show(outcome: "Outcome", folder: pathlib.Path) -> None:
     if verdicts:
         console.print(f"{verdicts}; the report has them all", highlight=False)
     if outcome.damaged:
-        numbers = ", ".join(map(str, outcome.damaged))
-        console.print(f"damaged, computed again when resumed: chunk {numbers}", highlight=False)
+        words = f"damaged, computed again when resumed: chunk {spans(outcome.damaged)}"
+        console.print(words, highlight=False, soft_wrap=True)
     if outcome.complete:
         console.print("complete", highlight=False)
     else:

@@ -13,23 +13,21 @@ import json
 import os
 import pathlib
 import re
-import secrets
 import shutil
 import tempfile
-from collections.abc import Iterable, Mapping, MutableMapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 import zarr
-from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from jaxtrack.studies.store import RESULTS
 from jaxtrack.studies.study_file import StudyError
 
-FORMAT = 1
 COMMITS = "commits"
-_HALF = "half_"  # how names begin of what is not whole yet
+HALF = "half_"
+"""How names begin of what is not whole yet."""
 
 
 class Variable(NamedTuple):
@@ -46,8 +44,9 @@ class Chunks(NamedTuple):
     folder: pathlib.Path
     trials: int
     chunk: int
-    attributes: MutableMapping[str, Any]  # what is set goes to the disk
-    arrays: dict[str, zarr.Array[Any]]
+    attributes: dict[str, Any]
+    variables: dict[str, Variable]
+    arrays: dict[str, zarr.Array[Any]]  # those that are there and as they should be
 
     @property
     def count(self) -> int:
@@ -58,87 +57,33 @@ class Chunks(NamedTuple):
         """Return the first trial of a chunk, and the first that is not of it."""
         return number * self.chunk, min((number + 1) * self.chunk, self.trials)
 
+    def attribute(self, name: str) -> Any:
+        """Return an attribute.
 
-def create(
-    folder: pathlib.Path,
-    variables: Mapping[str, Variable],
-    *,
-    trials: int,
-    chunk: int,
-    attributes: Mapping[str, Any],
-) -> Chunks:
-    """Make the folder of a study, without any trial yet.
+        Raises:
+            StudyError: it is missing.
+        """
+        if name not in self.attributes:
+            raise StudyError(f"{self.folder / RESULTS}: its attribute {name} is missing")
+        return self.attributes[name]
 
-    Raises:
-        StudyError: the folder cannot be written.
+    def record(self, number: int) -> pathlib.Path:
+        """Return the file of a chunk's commit record."""
+        return self.folder / COMMITS / f"{number:08d}.json"
 
-    Example:
-        >>> import tempfile
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     about = {"mean.error_m": Variable(("sigma_m",), (3,), "float32")}
-        ...     store = create(pathlib.Path(folder), about, trials=10, chunk=4, attributes={})
-        ...     write(store, 0, {"mean.error_m": np.zeros((3, 4), np.float32)})
-        ...     print(store.count, committed(store), read(store, 1))
-        3 {0} None
-    """
-    half = folder / f"{_HALF}{RESULTS}.{secrets.token_hex(4)}"  # two may begin at once
-    try:
-        (folder / COMMITS).mkdir(parents=True, exist_ok=True)
-        group = zarr.create_group(half, zarr_format=3, attributes={"format": FORMAT, **attributes})
-        for name, variable in variables.items():
-            dtype = np.dtype(variable.dtype)
-            array = group.create_array(
-                name,
-                shape=(*variable.shape, trials),
-                chunks=(*variable.shape, chunk),
-                dtype=dtype,
-                fill_value=np.nan if dtype.kind == "f" else 0,
-                compressors=(ZstdCodec(level=3), Crc32cCodec()),
-                dimension_names=(*variable.dims, "trial"),
-            )
-            _place(half, array, 0).parent.mkdir(parents=True)  # here, where it is synced
-        _sync([*half.rglob("*"), half])
-        half.rename(folder / RESULTS)
-        _sync([folder])
-    except OSError as error:
-        shutil.rmtree(half, ignore_errors=True)
-        if (folder / RESULTS).exists():
-            raise StudyError(f"{folder}: another run began there at the same time") from error
-        raise StudyError(f"{folder}: cannot be made: {error.strerror or error}") from error
-    return open_chunks(folder)
+    def file(self, name: str, number: int) -> pathlib.Path:
+        """Return the file of a variable's chunk."""
+        return self.folder / RESULTS / name / place(self.variables[name], number)
 
 
-def open_chunks(folder: pathlib.Path) -> Chunks:
-    """Open the folder of a study.
-
-    Raises:
-        StudyError: there is none, or it is of another version or broken.
+def place(variable: Variable, number: int) -> str:
+    """Return where in its array's folder a chunk lies: all of the grid, some of the trials.
 
     Example:
-        >>> open_chunks(pathlib.Path("nowhere"))
-        Traceback (most recent call last):
-        jaxtrack.studies.study_file.StudyError: nowhere: there is no study here
+        >>> place(Variable(("sigma_m",), (3,), "float32"), 7)
+        'c/0/7'
     """
-    if not (folder / RESULTS).exists():
-        raise StudyError(f"{folder}: there is no study here")
-    try:
-        group = zarr.open_group(folder / RESULTS, mode="r+", zarr_format=3)
-        attributes = group.attrs
-        if "format" not in attributes:
-            raise StudyError(f"{folder}: holds results, but not those of a study's file")
-        if attributes["format"] != FORMAT:
-            kind = f"has format {attributes['format']}, this version of jaxtrack reads {FORMAT}"
-            raise StudyError(f"{folder}: the store {kind}")
-        # What equals the fill value is written too, so that a file that is lost is missed.
-        with zarr.config.set({"array.write_empty_chunks": True}):
-            arrays = dict(group.arrays())
-        some = next(iter(arrays.values()))
-        return Chunks(folder, some.shape[-1], some.chunks[-1], attributes, arrays)
-    except StudyError:
-        raise
-    except Exception as error:  # whatever zarr makes of a broken file
-        reason = " ".join(str(error).split())
-        raise StudyError(f"{folder / RESULTS}: cannot be read: {reason}") from error
+    return "/".join(["c", *("0" for _ in variable.shape), str(number)])
 
 
 def committed(store: Chunks) -> set[int]:
@@ -149,7 +94,7 @@ def committed(store: Chunks) -> set[int]:
 
 def commit_times(store: Chunks) -> dict[int, float]:
     """Return when the chunks were stored, in seconds since 1970, as far as files can tell."""
-    return {number: _record_file(store, number).stat().st_mtime for number in committed(store)}
+    return {number: store.record(number).stat().st_mtime for number in committed(store)}
 
 
 def read(store: Chunks, number: int) -> dict[str, np.ndarray] | None:
@@ -158,12 +103,12 @@ def read(store: Chunks, number: int) -> dict[str, np.ndarray] | None:
     Raises:
         OSError: the disk does not let it be read.
     """
-    record = _record_file(store, number)
+    record = store.record(number)
     if not record.exists():
         return None
     first, end = store.span(number)
     try:
-        checksums = json.loads(record.read_text(encoding="utf-8"))["checksums"]
+        kept = json.loads(record.read_text(encoding="utf-8"))["checksums"]
         values = {name: np.asarray(array[..., first:end]) for name, array in store.arrays.items()}
     except FileNotFoundError:  # another process writes it again
         return None
@@ -171,7 +116,7 @@ def read(store: Chunks, number: int) -> dict[str, np.ndarray] | None:
         raise
     except Exception:  # a truncated file: JSON's, Crc32c's or zstd's own complaint
         return None
-    return values if checksums == _checksums(values) else None
+    return values if kept == _checksums(values) else None
 
 
 def write(store: Chunks, number: int, values: Mapping[str, np.ndarray]) -> None:
@@ -181,22 +126,22 @@ def write(store: Chunks, number: int, values: Mapping[str, np.ndarray]) -> None:
         StudyError: the disk is full, or does not let it be written; other chunks stay.
     """
     first, end = store.span(number)
-    record = _record_file(store, number)
+    record = store.record(number)
     text = json.dumps({"trials": [first, end], "checksums": _checksums(values)}, indent=1)
-    half = record.with_name(f"{_HALF}{record.name}")
+    half = record.with_name(f"{HALF}{record.name}")
     try:
         # What is not whole must not count: the record goes first and comes last.
         record.unlink(missing_ok=True)
-        _sync([record.parent])
+        sync([record.parent])
         for name, array in store.arrays.items():
-            file = _file(store, name, number)
+            file = store.file(name, number)
             file.unlink(missing_ok=True)
             array[..., first:end] = values[name]
-            _sync([file, file.parent])
+            sync([file, file.parent])
         half.write_text(text + "\n", encoding="utf-8")
-        _sync([half])
+        sync([half])
         half.replace(record)
-        _sync([record.parent])
+        sync([record.parent])
     except OSError as error:
         with contextlib.suppress(OSError):
             remove(store, number)
@@ -211,12 +156,12 @@ def remove(store: Chunks, number: int) -> None:
     Raises:
         OSError: the folder cannot be written.
     """
-    record = _record_file(store, number)
+    record = store.record(number)
     record.unlink(missing_ok=True)
-    _sync([record.parent])
-    record.with_name(f"{_HALF}{record.name}").unlink(missing_ok=True)
-    for name in store.arrays:
-        file = _file(store, name, number)
+    sync([record.parent])
+    record.with_name(f"{HALF}{record.name}").unlink(missing_ok=True)
+    for name in store.variables:
+        file = store.file(name, number)
         for part in (file, *file.parent.glob(f"{file.name}.*")):  # zarr's, half written
             part.unlink(missing_ok=True)
 
@@ -229,15 +174,15 @@ def clean(store: Chunks) -> None:
     """
     numbers = committed(store)
     results, commits = store.folder / RESULTS, store.folder / COMMITS
-    whole = {_file(store, name, number) for name in store.arrays for number in numbers}
-    whole |= {_record_file(store, number) for number in numbers}
-    for half in store.folder.glob(f"{_HALF}{RESULTS}*"):
+    whole = {store.file(name, number) for name in store.variables for number in numbers}
+    whole |= {store.record(number) for number in numbers}
+    for half in store.folder.glob(f"{HALF}{RESULTS}*"):
         shutil.rmtree(half, ignore_errors=True)
     commits.mkdir(exist_ok=True)
-    found = {*commits.iterdir(), *(f for name in store.arrays for f in _files(results / name))}
+    found = {*commits.iterdir(), *(f for name in store.variables for f in _files(results / name))}
     for file in found - whole:
         file.unlink()
-    _sync([commits])
+    sync([commits])
 
 
 def check_writable(store: Chunks) -> None:
@@ -247,7 +192,7 @@ def check_writable(store: Chunks) -> None:
         StudyError: nothing can.
     """
     try:
-        with tempfile.NamedTemporaryFile(prefix=_HALF, dir=store.folder / COMMITS):
+        with tempfile.NamedTemporaryFile(prefix=HALF, dir=store.folder / COMMITS):
             pass
     except OSError as error:
         raise StudyError(
@@ -259,22 +204,8 @@ def dataset(store: Chunks, trials: int) -> xr.Dataset:
     """Return the first trials of all variables, labelled, read from disk when they are used."""
     results = store.folder / RESULTS
     found = xr.open_zarr(results, consolidated=False, chunks=None, mask_and_scale=False)
-    labels = {name: np.array(values) for name, values in store.attributes["labels"].items()}
+    labels = {name: np.array(values) for name, values in store.attribute("labels").items()}
     return found.isel(trial=slice(trials)).assign_coords(labels)
-
-
-def _record_file(store: Chunks, number: int) -> pathlib.Path:
-    return store.folder / COMMITS / f"{number:08d}.json"
-
-
-def _file(store: Chunks, name: str, number: int) -> pathlib.Path:
-    return _place(store.folder / RESULTS, store.arrays[name], number)
-
-
-def _place(results: pathlib.Path, array: zarr.Array[Any], number: int) -> pathlib.Path:
-    """Return the file of an array's chunk."""
-    place = (*(0 for _ in array.shape[:-1]), number)
-    return results / array.basename / array.metadata.encode_chunk_key(place)
 
 
 def _files(folder: pathlib.Path) -> Iterable[pathlib.Path]:
@@ -287,7 +218,7 @@ def _checksums(values: Mapping[str, np.ndarray]) -> dict[str, str]:
     return {name: digest(array) for name, array in sorted(values.items())}
 
 
-def _sync(paths: Iterable[pathlib.Path]) -> None:
+def sync(paths: Iterable[pathlib.Path]) -> None:
     """Wait until files, and folders with the names in them, have reached the disk."""
     for path in paths:
         if path.is_dir() and os.name != "posix":  # cannot be opened elsewhere

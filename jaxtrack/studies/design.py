@@ -26,7 +26,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, NoReturn
 
 from jaxtrack.studies.comparisons import Comparison, read_comparisons
-from jaxtrack.studies.functions import find_function
+from jaxtrack.studies.functions import find_function, forget_others
 from jaxtrack.studies.study_file import StudyError, StudyFile
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
@@ -42,6 +42,7 @@ class Part(NamedTuple):
 
     where: str  # its table in the file: "scene", "method.mean"
     name: str  # "scene", "mean"
+    function: str  # as the file names it
     call: Callable[..., Any]
     fields: dict[str, Any]  # those of one value
     grid: dict[str, tuple[Any, ...]]  # those of several
@@ -68,7 +69,7 @@ class Design(NamedTuple):
     until: Until | None
     compare: tuple[Comparison, ...]
     config: dict[str, Any]  # the file's tables that decide results, defaults filled in
-    text: str  # of the file
+    file: StudyFile
     folder: pathlib.Path  # where it lies; its own functions are looked for here
 
 
@@ -89,7 +90,7 @@ def read_design(file: pathlib.Path) -> Design:
         text = file.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise StudyError(f"{file}: is not text in UTF-8") from error
-    return design_of(text, file.parent.resolve(), str(file))
+    return design_of(text, file.parent, str(file))
 
 
 def design_of(
@@ -115,7 +116,7 @@ def design_of(
         tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise StudyError(f"{name}: {error}") from error
-    file = StudyFile(name, text)
+    file, folder = StudyFile(name, text), folder.resolve()
     for key in tables:
         if key not in _TOP:
             file.fail((key,), f"unknown key, want one of {', '.join(_TOP)}")
@@ -134,6 +135,8 @@ def design_of(
         file.fail((at,), f"got {config[at]}, want {want}")
 
     where = folder if functions else None
+    if functions:
+        forget_others(folder)
     scene = _part(file, config["scene"], ("scene",), where)
     methods, metrics = (
         tuple(
@@ -165,7 +168,7 @@ def design_of(
         until=until,
         compare=read_comparisons(file, compare, axes, [metric.name for metric in metrics]),
         config=config,
-        text=text,
+        file=file,
         folder=folder,
     )
 
@@ -222,7 +225,7 @@ def _part(file: StudyFile, table: Any, path: tuple[str, ...], folder: pathlib.Pa
         file.fail((*path, "function"), f"got {table.get('function')!r}, want text")
     try:
         call = _absent if folder is None else find_function(kind, table["function"], folder)
-    except (ValueError, ImportError, SyntaxError) as error:
+    except (ValueError, ImportError) as error:
         file.fail((*path, "function"), str(error))
     values = {key: value for key, value in table.items() if key not in ("function", "static")}
     static = table.get("static", [])
@@ -241,7 +244,9 @@ def _part(file: StudyFile, table: Any, path: tuple[str, ...], folder: pathlib.Pa
             fields[key] = _value(file, value, (*path, key))
     _check_call(file, call, values, path)
     words = {key for key in values if isinstance(grid.get(key, (fields.get(key),))[0], (bool, str))}
-    return Part(".".join(path), name, call, fields, grid, frozenset(words | set(static)))
+    return Part(
+        ".".join(path), name, table["function"], call, fields, grid, frozenset(words | set(static))
+    )
 
 
 def _absent(*given: Any, **fields: Any) -> NoReturn:

@@ -13,9 +13,11 @@ from typing import Any
 import jax
 
 from jaxtrack.studies.design import Design
+from jaxtrack.studies.functions import files_of, own_file
 from jaxtrack.studies.store import made_with, source_digest
 
 _ABSENT = "nothing"
+_PACKAGE = pathlib.Path(__file__).parents[1]
 # Settings of JAX that change draws or sums.
 _SETTINGS = (
     "jax_default_prng_impl",
@@ -47,23 +49,16 @@ def decisive(design: Design) -> dict[str, Any]:
         "settings": {name: str(getattr(jax.config, name)) for name in _SETTINGS},
         "source": source_digest(),
         "functions": {
-            part.where: _digest(part.call)
-            for part in (design.scene, *design.methods, *design.metrics)
+            name: hashlib.sha256(file.read_bytes()).hexdigest()
+            for name, file in sorted(_files(design).items())
         },
     }
 
 
 def about(design: Design) -> dict[str, Any]:
     """Return what is good to know of where results come from, and decides nothing."""
-    here = pathlib.Path(__file__)
-    own = [
-        file
-        for part in (design.scene, *design.methods, *design.metrics)
-        if (file := _file(part.call)) is not None and here.parents[1] not in file.parents
-    ]
-    revisions = {
-        str(file): _revision(file) for file in sorted({here.parents[1] / "__init__.py", *own})
-    }
+    files = [_PACKAGE / "__init__.py", *_files(design).values()]
+    revisions = {str(file): _revision(file) for file in sorted(files)}
     return {**made_with(), "git": revisions}
 
 
@@ -90,21 +85,30 @@ def _short(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:28]}…{text[-28:]}"
 
 
+def _files(design: Design) -> dict[str, pathlib.Path]:
+    """Return the files from outside the package in which a study's functions stand, by name.
+
+    Beside the study's file they come with what they import from there.
+    """
+    found: dict[str, pathlib.Path] = {}
+    for part in (design.scene, *design.methods, *design.metrics):
+        own = own_file(part.function, design.folder)
+        if own is not None:
+            found |= {file.relative_to(design.folder).as_posix(): file for file in files_of(own)}
+        elif (file := _file(part.call)) is not None and _PACKAGE not in file.parents:
+            found[part.function.partition(":")[0]] = file
+    return found
+
+
 def _file(function: Any) -> pathlib.Path | None:
+    """Return the file in which a function stands, if it is written in Python."""
     while isinstance(function, functools.partial):
         function = function.func
     try:
-        return pathlib.Path(inspect.getsourcefile(inspect.unwrap(function)) or "").resolve()
-    except TypeError:  # not written in Python
+        file = pathlib.Path(inspect.getsourcefile(inspect.unwrap(function)) or "").resolve()
+    except TypeError:
         return None
-
-
-def _digest(function: Any) -> str:
-    """Return a digest of the file that a function stands in; of none for those without a file."""
-    file = _file(function)
-    return (
-        "" if file is None or not file.is_file() else hashlib.sha256(file.read_bytes()).hexdigest()
-    )
+    return file if file.is_file() else None
 
 
 @functools.cache

@@ -76,15 +76,6 @@ class Processes(NamedTuple):
             self.tell(LEFT)
             self.wait_for(lambda: len(self.told(LEFT)) == self.count)
 
-    def agree(self) -> None:
-        """Wait until all have come this far.
-
-        Raises:
-            StudyError: another one met an error on its way.
-        """
-        self.leave()
-        self.is_ending()
-
 
 @contextlib.contextmanager
 def together() -> Iterator[Processes]:

@@ -3,13 +3,14 @@
 Trial t has the key fold_in(key(seed), t) in every cell and with every method, so methods are
 compared on the same draws. A method is one program; its cells differ in traced values, but for
 those of static fields. A chunk that is stored is read, not computed, so a study that was stopped
-goes on where it was and ends in the same bytes.
+goes on where it was and ends in the same bytes, and so does one that is to have more trials.
 
 Several processes share a study once `jax.distributed.initialize` has brought them together. Whoever
 is free takes the next chunk. Each follows on the disk which chunks are there from the first on, and
 so finds the same end.
 """
 
+import contextlib
 import math
 import pathlib
 import time
@@ -18,14 +19,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxtrack.studies import chunks, made, summary
-from jaxtrack.studies.design import Design, axes_of, design_of
-from jaxtrack.studies.hold import held
-from jaxtrack.studies.processes import END, LOOK_AGAIN_S, OPEN, Processes, together
-from jaxtrack.studies.study_file import StudyError
-from jaxtrack.studies.trials import Program, compute, programs_of, variables_of
-
-_SEEN_AFTER_S = 120.0  # so late may a folder be seen that another machine has made
+from jaxtrack.studies import chunk_store, chunks, summary
+from jaxtrack.studies.design import Design, design_of
+from jaxtrack.studies.hold import opened
+from jaxtrack.studies.processes import END, LOOK_AGAIN_S, Processes, together
+from jaxtrack.studies.trials import compute, programs_of, variables_of
 
 
 class Progress(NamedTuple):
@@ -33,7 +31,7 @@ class Progress(NamedTuple):
 
     done: float  # trials of every cell
     total: float  # that there will be; with `until`, as the errors so far let expect
-    rate: float  # trials a second, this session
+    rate: float  # trials a second, of all processes, this session
     last: tuple[str, float, float] | None  # variable, mean, standard error: the widest
 
 
@@ -51,6 +49,7 @@ def run_study(
     design: Design,
     folder: pathlib.Path,
     *,
+    team: Processes | None = None,
     on_progress: Callable[[Progress], None] = lambda _: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> Outcome:
@@ -58,7 +57,9 @@ def run_study(
 
     Args:
         design: of the study.
-        folder: for its results; one that holds them already must be of the same study.
+        folder: for its results; one that holds them already must be of the same study, which may
+            have ended earlier: with fewer trials, or a larger error in `until`.
+        team: the run's processes, if the caller has them together already.
         on_progress: called now and then.
         stopped: asked after each chunk whether that was the last for now.
 
@@ -82,17 +83,16 @@ def run_study(
         >>> bool(0.2 < outcome.found.mean["size.negative"] < 0.8)
         True
     """
-    with together() as team:
+    with contextlib.nullcontext(team) if team else together() as team:
         programs = programs_of(design)
         variables = variables_of(design, programs)
-        store = _open(team, design, folder, variables)
-        chunks.check_writable(store)
-        if team.index == 0:
-            with held(folder, alone=True):
-                chunks.clean(store)
-        with held(folder, alone=False):
-            team.tell(OPEN)
-            computed = _computed(design, programs, variables, store, on_progress)
+        progress = _Reporter(design, on_progress)
+
+        def computed(first: int, end: int, found: summary.Moments | None) -> dict[str, np.ndarray]:
+            progress.begin(first, end, found)
+            return compute(design, programs, variables, first, end, progress.report)
+
+        with opened(team, design, folder, variables) as store:
             found = _work(team, design, store, computed, stopped)
             team.leave()
             if team.index == 0:
@@ -106,7 +106,7 @@ def open_study(folder: pathlib.Path) -> Design:
     Raises:
         StudyError: there is none, or its functions are gone.
     """
-    return _design_in(chunks.open_chunks(folder), functions=True)
+    return _design_in(chunk_store.open_chunks(folder), functions=True)
 
 
 def status_of(folder: pathlib.Path) -> Outcome:
@@ -115,7 +115,7 @@ def status_of(folder: pathlib.Path) -> Outcome:
     Raises:
         StudyError: there is none, or it cannot be read.
     """
-    store = chunks.open_chunks(folder)
+    store = chunk_store.open_chunks(folder)
     design = _design_in(store, functions=False)
     found: summary.Moments | None = None
     records = sorted(chunks.committed(store))
@@ -130,7 +130,7 @@ def status_of(folder: pathlib.Path) -> Outcome:
 
 
 def _design_in(store: chunks.Chunks, *, functions: bool) -> Design:
-    text, folder = store.attributes["text"], pathlib.Path(store.attributes["folder"])
+    text, folder = store.attribute("text"), pathlib.Path(store.attribute("folder"))
     return design_of(text, folder, f"{store.folder}'s study", functions=functions)
 
 
@@ -156,7 +156,7 @@ def _work(
     team: Processes,
     design: Design,
     store: chunks.Chunks,
-    computed: Callable[[int, summary.Moments | None], dict[str, np.ndarray]],
+    computed: Callable[[int, int, summary.Moments | None], dict[str, np.ndarray]],
     stopped: Callable[[], bool],
 ) -> summary.Moments | None:
     """Compute chunks, and return what is found of all processes' when there is no more to do."""
@@ -172,7 +172,8 @@ def _work(
             if mine < store.count:
                 values = chunks.read(store, mine)
                 if values is None:
-                    values = computed(mine, found)
+                    chunks.check_writable(store)
+                    values = computed(*store.span(mine), found)
                     chunks.write(store, mine, values)
                 ahead[mine] = summary.moments(design, values)
             else:  # another process computes what is missing
@@ -197,103 +198,40 @@ def _finished(
         if values is None:
             return found
         found = summary.merged(found, summary.moments(design, values))
-    for number in chunks.committed(store):
-        if number >= _following(design, found):
-            chunks.remove(store, number)
+    with contextlib.suppress(OSError):  # it does not count, wherever it must stay
+        for number in chunks.committed(store):
+            if number >= _following(design, found):
+                chunks.remove(store, number)
     return found
 
 
-def _open(
-    team: Processes,
-    design: Design,
-    folder: pathlib.Path,
-    variables: dict[str, chunks.Variable],
-) -> chunks.Chunks:
-    """Return the folder's store, a new one if there is none; refuse another study's."""
-    if team.index:
-        team.wait_for(lambda: team.is_ending() or bool(team.told(OPEN)))
-        until = time.monotonic() + _SEEN_AFTER_S
-        team.wait_for(lambda: (folder / chunks.RESULTS).exists() or time.monotonic() > until)
-        if not (folder / chunks.RESULTS).exists():
-            raise StudyError(f"{folder}: process {team.index} does not see what process 0 has made")
-    facts = {"study": design.config, "made_with": made.decisive(design)}
-    if not (folder / chunks.RESULTS).exists():
-        attributes = {
-            **facts,
-            "labels": {
-                k: v for method in design.methods for k, v in axes_of(design, method).items()
-            },
-            "text": design.text,
-            "folder": str(design.folder),
-            "about": made.about(design),
-        }
-        return chunks.create(
-            folder, variables, trials=design.trials, chunk=design.chunk, attributes=attributes
-        )
-    store = chunks.open_chunks(folder)
-    differing = made.differences({key: store.attributes.get(key) for key in facts}, facts)
-    if differing:
-        same = store.attributes.get("study") == design.config
-        whose = (
-            "this study's trials, made with other versions or files"
-            if same
-            else "another study's trials"
-        )
-        raise StudyError(f"{folder}: holds {whose}; what differs: {'; '.join(differing)}")
-    missing = sorted(variables.keys() - store.arrays.keys())
-    if missing:
-        raise StudyError(
-            f"{folder}: {', '.join(missing)} is missing there: begin in another folder"
-        )
-    if team.index == 0 and store.attributes["text"] != design.text:
-        store.attributes["text"] = design.text  # its words and comparisons decide no result
-    return store
+class _Reporter:
+    """Tells how far a study is, chunk by chunk."""
 
+    def __init__(self, design: Design, on_progress: Callable[[Progress], None]) -> None:
+        self._design, self._on_progress = design, on_progress
+        self._begun = 0  # chunks
+        self._since = 0, 0.0  # the trial and the time from which on the rate is taken
 
-def _computed(
-    design: Design,
-    programs: list[Program],
-    variables: dict[str, chunks.Variable],
-    store: chunks.Chunks,
-    on_progress: Callable[[Progress], None],
-) -> Callable[[int, summary.Moments | None], dict[str, np.ndarray]]:
-    """Return what computes a chunk's values and reports it: `(number, found before) -> values`."""
-    clock: float | None = None  # the first chunk, which compiles, is not timed
-    timed = 0  # trials computed since
+    def begin(self, first: int, end: int, found: summary.Moments | None) -> None:
+        """Begin a chunk, after what is found."""
+        design = self._design
+        if self._begun < 2:  # the first chunk, which compiles, is not timed
+            self._since = first, time.perf_counter()
+        self._begun += 1
+        self._first, self._end = first, end
+        self._last, self._total = None, float(design.trials)
+        if found is not None:
+            metric = design.until.metric if design.until else design.metrics[0].name
+            self._last = summary.widest(design, found, metric)
+            if design.until is not None and math.isfinite(self._last[2]):
+                # An error falls with the square root of the trials.
+                expected = found.trials * (self._last[2] / design.until.se) ** 2
+                self._total = min(self._total, expected)
 
-    def computed(number: int, found: summary.Moments | None) -> dict[str, np.ndarray]:
-        nonlocal clock, timed
-        first, end = store.span(number)
-        report = _reporter(design, first, end, found, (timed, clock), on_progress)
-        values = compute(design, programs, variables, first, end, report)
-        timed += 0 if clock is None else end - first
-        clock = clock or time.perf_counter()
-        return values
-
-    return computed
-
-
-def _reporter(
-    design: Design,
-    first: int,
-    end: int,
-    found: summary.Moments | None,
-    before: tuple[int, float | None],
-    on_progress: Callable[[Progress], None],
-) -> Callable[[float], None]:
-    """Return what a chunk calls with the share of it that is done."""
-    last, total = None, float(design.trials)
-    timed, since = before[0], before[1] or time.perf_counter()
-    if found is not None:
-        metric = design.until.metric if design.until else design.metrics[0].name
-        last = summary.widest(design, found, metric)
-        if design.until is not None and math.isfinite(last[2]):
-            # An error falls with the square root of the trials.
-            total = min(total, found.trials * (last[2] / design.until.se) ** 2)
-
-    def report(share: float) -> None:
-        done = first + share * (end - first)
-        rate = (timed + done - first) / (time.perf_counter() - since)
-        on_progress(Progress(done, max(total, done), rate, last))
-
-    return report
+    def report(self, share: float) -> None:
+        """Tell that a share of the chunk is done."""
+        done = self._first + share * (self._end - self._first)
+        # Other processes have computed the chunks between: they are given out in order.
+        rate = (done - self._since[0]) / (time.perf_counter() - self._since[1])
+        self._on_progress(Progress(done, max(self._total, done), rate, self._last))

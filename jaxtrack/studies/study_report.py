@@ -24,12 +24,13 @@ from jaxtrack.studies.tables import plus_minus
 FILE = "report.html"
 
 
-def write_report(outcome: Outcome, folder: pathlib.Path) -> str:
+def write_report(outcome: Outcome, folder: pathlib.Path, out: pathlib.Path | None = None) -> str:
     """Write FOLDER/report.html, of a study that is not complete too.
 
     Args:
         outcome: where the study stands.
         folder: its.
+        out: another folder for the page, where the study's cannot be written.
 
     Returns:
         The file's name and size.
@@ -37,7 +38,9 @@ def write_report(outcome: Outcome, folder: pathlib.Path) -> str:
     Raises:
         OSError: it cannot be written.
     """
-    return html_page.write(folder / FILE, report_of(outcome, folder))
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+    return html_page.write((out or folder) / FILE, report_of(outcome, folder))
 
 
 def report_of(outcome: Outcome, folder: pathlib.Path) -> str:
@@ -61,7 +64,7 @@ def report_of(outcome: Outcome, folder: pathlib.Path) -> str:
         runs = report_runs.runs(design, rows, found.trials, report_runs.rate_of(outcome.store))
         sections.append(Section("runs", "How many runs do I need", runs))
     title = "The study's file"
-    sections.append(Section("file", title, html_page.code(design.text.strip(), title)))
+    sections.append(Section("file", title, html_page.code(design.file.text.strip(), title)))
     sections.append(Section("made", "How it was made", _made(outcome)))
     sections.append(Section("again", "How to run it again", _again(outcome, folder)))
     title = f"Study {folder.resolve().name}"
@@ -72,7 +75,7 @@ def compared(outcome: Outcome) -> dict[str, list[report_compared.Line]]:
     """Return the results beside what the study's file compares them with, by metric."""
     if outcome.found is None:
         return {}
-    shares = [name for name, array in outcome.store.arrays.items() if array.dtype == bool]
+    shares = [name for name, known in outcome.store.variables.items() if known.dtype == "bool"]
     return report_compared.compared(outcome.design, outcome.found, shares)
 
 
@@ -83,6 +86,20 @@ def table_of(rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[st
     fields = [head for head in heads if not isinstance(first(head), tuple)]
     heads.sort(key=lambda head: head not in fields)
     return heads, [[_cell(row.get(head)) for head in heads] for row in rows], len(fields)
+
+
+def spans(numbers: Sequence[int]) -> str:
+    """Return rising numbers in words.
+
+    Example:
+        >>> spans([0, 1, 2, 5, 7, 8])
+        '0 to 2, 5, 7 to 8'
+    """
+    known = set(numbers)
+    starts = [n for n in numbers if n - 1 not in known]
+    ends = [n for n in numbers if n + 1 not in known]
+    pairs = zip(starts, ends, strict=True)
+    return ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in pairs)
 
 
 def _cell(value: Any) -> str:
@@ -106,10 +123,8 @@ def _lead(outcome: Outcome, folder: pathlib.Path) -> Html:
         resume = tag("code", f"jaxtrack study resume {shlex.quote(str(folder))}")
         parts.append(tag("p", tag("strong", "Not complete."), " To go on: ", resume, class_="note"))
     if outcome.damaged:
-        numbers = ", ".join(map(str, outcome.damaged))
-        parts.append(
-            tag("p", f"Damaged, computed again when resumed: chunk {numbers}.", class_="note")
-        )
+        words = f"Damaged, computed again when resumed: chunk {spans(outcome.damaged)}."
+        parts.append(tag("p", words, class_="note"))
     return joined(parts)
 
 
@@ -174,7 +189,7 @@ def _again(outcome: Outcome, folder: pathlib.Path) -> Html:
         f"pip install '.[studies]' {versions}    # in jaxtrack's source, {about.get('jaxtrack')}\n"
         f"{setting}jaxtrack study run {shlex.quote(name)} --out another_folder"
     )
-    own = [part.where for part in _parts(outcome.design) if ":" in _function(outcome.design, part)]
+    own = [part.where for part in _parts(outcome.design) if ":" in part.function]
     words = f"Save the study's file as {name}"
     if own:
         words += f", beside the modules of its own functions ({', '.join(own)}), which stood in "
@@ -188,10 +203,3 @@ def _again(outcome: Outcome, folder: pathlib.Path) -> Html:
 
 def _parts(design: Design) -> tuple[Part, ...]:
     return (design.scene, *design.methods, *design.metrics)
-
-
-def _function(design: Design, part: Part) -> str:
-    table = design.config
-    for word in part.where.split("."):
-        table = table[word]
-    return table["function"]

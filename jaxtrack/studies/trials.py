@@ -71,7 +71,7 @@ def _program(
     }
 
     def call(part: Part, params: Any, *given: Any) -> Any:
-        with _named(part):
+        with _named(design, part, given):
             return part.call(*given, **static[part.where], **params[0][part.where])
 
     def trial(key: Key, params: Any) -> dict[str, Array]:
@@ -80,7 +80,7 @@ def _program(
         found = {}
         for metric in design.metrics:
             value = call(metric, params, scene, estimate)
-            with _named(metric):
+            with _named(design, metric, (scene, estimate)):
                 found[metric.name] = jnp.asarray(value)
         return found
 
@@ -89,24 +89,48 @@ def _program(
 
 
 @contextmanager
-def _named(part: Part) -> Iterator[None]:
-    """Say whose function it is that fails."""
+def _named(design: Design, part: Part, given: Any = ()) -> Iterator[None]:
+    """Say whose function it is that fails, and where the study names it."""
+    at = (*part.where.split("."), "function")
     try:
         yield
     except StudyError:
         raise
-    except Exception as error:
-        text = " ".join(str(error).split())
-        text = text if len(text) < 300 else f"{text[:300]} …"
-        if isinstance(error, jax.errors.JAXTypeError) or "Trace" in text:
+    except KeyboardInterrupt as error:  # the user's, most likely
+        raise KeyboardInterrupt(f"in {part.where}{_place(part, error)}") from error
+    except (Exception, SystemExit) as error:
+        text = f"{type(error).__name__}: {_short(error)}"
+        if isinstance(error, jax.errors.JAXTypeError) or "concrete" in text:
             text += " (numbers are traced, unless `static` names their fields)"
-        trace, place = error.__traceback__, ""
-        while trace is not None:
-            code = trace.tb_frame.f_code
-            if code.co_filename == getattr(getattr(part.call, "__code__", None), "co_filename", 0):
-                place = f" ({code.co_filename}, line {trace.tb_lineno})"
-            trace = trace.tb_next
-        raise StudyError(f"{part.where}: {type(error).__name__}: {text}{place}") from error
+        design.file.fail(at, f"{text}{_place(part, error)}{_shapes(part, given)}")
+
+
+def _short(error: BaseException) -> str:
+    """Return what an error says, in one line: of a long one how it begins and ends."""
+    text = " ".join(str(error).split())
+    return text if len(text) < 300 else f"{text[:150]} … {text[-150:]}"
+
+
+def _place(part: Part, error: BaseException) -> str:
+    """Return the line in the function's own file at which it fails."""
+    trace, place = error.__traceback__, ""
+    own = getattr(getattr(part.call, "__code__", None), "co_filename", None)
+    while trace is not None:
+        if trace.tb_frame.f_code.co_filename == own:
+            place = f" ({own}, line {trace.tb_lineno})"
+        trace = trace.tb_next
+    return place
+
+
+def _shapes(part: Part, given: Any) -> str:
+    """Return what a method or a metric was given, as the one who gave it may be to blame."""
+    leaves = [
+        f"{x.dtype}{list(x.shape)}" if isinstance(x, (np.ndarray, Array)) else type(x).__name__
+        for x in jax.tree.leaves(given)
+    ]
+    if part.where == "scene" or not leaves:
+        return ""
+    return f"; it was given {', '.join(leaves[:6])}{', …' if len(leaves) > 6 else ''}"
 
 
 def variables_of(design: Design, programs: list[Program]) -> dict[str, Variable]:
@@ -122,12 +146,14 @@ def variables_of(design: Design, programs: list[Program]) -> dict[str, Variable]
             numeric = jnp.issubdtype(leaf.dtype, jnp.number) or leaf.dtype == jnp.bool_
             if leaf.shape or not numeric or jnp.issubdtype(leaf.dtype, jnp.complexfloating):
                 got = f"{leaf.dtype} of shape {list(leaf.shape)}"
-                raise StudyError(f"metric.{name}: got {got} of method {method.name}, want a number")
+                at = ("metric", name, "function")
+                design.file.fail(at, f"got {got} of method {method.name}, want a number")
             shape = tuple(len(values) for values in grid.values())
             variable = Variable(tuple(grid), shape, str(leaf.dtype))
             if found.setdefault(full, variable) != variable:
                 both = f"{found[full].dtype} and {leaf.dtype}"
-                raise StudyError(f"metric.{name}: got {both}, want one dtype in all cells")
+                at = ("metric", name, "function")
+                design.file.fail(at, f"got {both}, want one dtype in all cells")
     return found
 
 
@@ -145,16 +171,20 @@ def compute(
         for name, variable in variables.items()
     }
     for place, program in enumerate(programs):
-        run = monte_carlo(
-            program.trial,
-            jax.random.key(design.seed),
-            end - first,
-            program.params,
-            micro_batch=design.micro_batch,
-            first_trial=first,
-            batch_params=True,
-            on_progress=lambda done, all_, at=place: report((at + done / all_) / len(programs)),
-        )
+        try:
+            run = monte_carlo(
+                program.trial,
+                jax.random.key(design.seed),
+                end - first,
+                program.params,
+                micro_batch=design.micro_batch,
+                first_trial=first,
+                batch_params=True,
+                on_progress=lambda done, all_, at=place: report((at + done / all_) / len(programs)),
+            )
+        except jax.errors.JaxRuntimeError as error:  # no memory, or Python that is called fails
+            at = ("method", program.method.name, "function")
+            design.file.fail(at, f"fails in trials {first} to {end - 1}: {_short(error)}")
         for name, leaf in run.values.items():
             flat[f"{program.method.name}.{name}"][program.cells] = leaf
     return {name: x.reshape(*variables[name].shape, end - first) for name, x in flat.items()}

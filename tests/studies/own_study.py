@@ -1,9 +1,11 @@
 """A study of one's own, as tests write it into a folder: its functions and its file."""
 
+import contextlib
 import json
 import os
 import pathlib
 import re
+from collections.abc import Callable
 
 import jax
 
@@ -48,6 +50,34 @@ def words(points, estimate):
 
 def broken(points):
     raise KeyError("nowhere")
+
+
+def leaves(points):
+    raise SystemExit(3)
+
+
+def stops(points):
+    raise KeyboardInterrupt
+
+
+def longer(points):
+    return points + jnp.zeros(7)
+
+
+def mixed(points, estimate):
+    return MIXED.pop()
+
+
+MIXED = [1, 2.0, 1, 2.0]
+
+
+def later(points, estimate):
+    like = jax.ShapeDtypeStruct((), float)
+    return jax.pure_callback(fails, like, estimate, vmap_method="sequential")
+
+
+def fails(estimate):
+    raise RuntimeError("no luck")
 """
 BESIDE = "import jax.numpy as jnp\n\n\ndef absolute(x):\n    return jnp.abs(x)\n"
 FILE = """
@@ -156,3 +186,35 @@ def environment(devices: int) -> dict[str, str]:
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "PYTHONPATH": str(pathlib.Path(__file__).parents[2]),
     }
+
+
+@contextlib.contextmanager
+def as_nobody():
+    """Be a user whom permissions bind, which root is not."""
+    root = os.geteuid() == 0
+    if root:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        if root:
+            os.seteuid(0)
+
+
+class Killed(BaseException):
+    """What no handler of errors sees."""
+
+
+def dying(step: int) -> Callable[[pathlib.Path, pathlib.Path], pathlib.Path]:
+    """Return a `Path.replace` that dies when this many descriptions of arrays are replaced."""
+    replace, left = pathlib.Path.replace, step
+
+    def replaced(self: pathlib.Path, target: pathlib.Path) -> pathlib.Path:
+        nonlocal left
+        if self.name == "zarr.json":
+            if left == 0:
+                raise Killed
+            left -= 1
+        return replace(self, target)
+
+    return replaced

@@ -1,6 +1,5 @@
 """The store: a chunk counts once its record is there, and a broken one is never believed."""
 
-import contextlib
 import errno
 import json
 import os
@@ -11,10 +10,10 @@ import numpy as np
 import pytest
 import zarr
 
-from jaxtrack.studies import chunks
+from jaxtrack.studies import chunk_store, chunks
 from jaxtrack.studies.chunks import Variable
 from jaxtrack.studies.study_file import StudyError
-from tests.studies.own_study import bytes_in
+from tests.studies.own_study import as_nobody, bytes_in
 
 ABOUT = {
     "mean.error_m": Variable(("sigma_m",), (2,), "float32"),
@@ -35,7 +34,7 @@ def values(number, trials=4):
 
 @pytest.fixture
 def store(tmp_path):
-    return chunks.create(tmp_path / "study", ABOUT, trials=10, chunk=4, attributes=LABELS)
+    return chunk_store.create(tmp_path / "study", ABOUT, trials=10, chunk=4, attributes=LABELS)
 
 
 def assert_is(found, number, trials=4):
@@ -50,7 +49,7 @@ def assert_is(found, number, trials=4):
 def test_chunks_come_back_labelled_and_the_last_may_be_short(store):
     for number, trials in ((0, 4), (2, 2), (1, 4)):
         chunks.write(store, number, values(number, trials))
-    again = chunks.open_chunks(store.folder)
+    again = chunk_store.open_chunks(store.folder)
     assert (again.count, again.trials, again.chunk) == (3, 10, 4)
     assert chunks.committed(again) == {0, 1, 2}
     for number, trials in ((0, 4), (1, 4), (2, 2)):
@@ -73,7 +72,7 @@ def test_arrays_are_zarr_3_with_crc32c_one_file_a_chunk(store):
 
 
 def test_the_same_values_are_the_same_bytes(store, tmp_path):
-    other = chunks.create(tmp_path / "other", ABOUT, trials=10, chunk=4, attributes=LABELS)
+    other = chunk_store.create(tmp_path / "other", ABOUT, trials=10, chunk=4, attributes=LABELS)
     for number in (0, 1):
         chunks.write(store, number, values(number))
     for number in (1, 0):
@@ -135,7 +134,7 @@ class Killed(BaseException):
 
 def test_a_write_that_ends_at_any_step_leaves_nothing_that_counts(store, monkeypatch):
     chunks.write(store, 0, values(0))
-    before, whole, steps = bytes_in(store.folder), chunks._sync, 0
+    before, whole, steps = bytes_in(store.folder), chunks.sync, 0
     while True:
         left = steps
 
@@ -147,13 +146,13 @@ def test_a_write_that_ends_at_any_step_leaves_nothing_that_counts(store, monkeyp
             whole(paths)
 
         with monkeypatch.context() as within:
-            within.setattr(chunks, "_sync", sync)
+            within.setattr(chunks, "sync", sync)
             try:
                 chunks.write(store, 1, values(1))
                 break
             except Killed:
                 pass
-        again = chunks.open_chunks(store.folder)
+        again = chunk_store.open_chunks(store.folder)
         assert_is(chunks.read(again, 0), 0)
         if chunks.read(again, 1) is None:
             chunks.clean(again)
@@ -171,12 +170,12 @@ def test_a_making_that_ends_early_leaves_no_study(tmp_path, monkeypatch):
         raise Killed
 
     with monkeypatch.context() as within:
-        within.setattr(chunks, "_sync", killed)
+        within.setattr(chunk_store, "sync", killed)
         with pytest.raises(Killed):
-            chunks.create(tmp_path, ABOUT, trials=10, chunk=4, attributes={})
+            chunk_store.create(tmp_path, ABOUT, trials=10, chunk=4, attributes={})
     with pytest.raises(StudyError, match="there is no study here"):
-        chunks.open_chunks(tmp_path)
-    store = chunks.create(tmp_path, ABOUT, trials=10, chunk=4, attributes={})
+        chunk_store.open_chunks(tmp_path)
+    store = chunk_store.create(tmp_path, ABOUT, trials=10, chunk=4, attributes={})
     chunks.clean(store)
     assert sorted(path.name for path in store.folder.iterdir()) == ["commits", "results.zarr"]
 
@@ -216,23 +215,10 @@ def test_a_disk_that_is_full_under_zarr_is_said_and_loses_nothing(store, monkeyp
     assert bytes_in(store.folder) == before
 
 
-@contextlib.contextmanager
-def as_nobody():
-    """Be a user whom permissions bind, which root is not."""
-    root = os.geteuid() == 0
-    if root:
-        os.seteuid(65534)
-    try:
-        yield
-    finally:
-        if root:
-            os.seteuid(0)
-
-
 def test_a_folder_that_must_not_be_written_is_said_and_can_be_read():
     with tempfile.TemporaryDirectory() as name:
         folder = pathlib.Path(name) / "study"
-        store = chunks.create(folder, ABOUT, trials=10, chunk=4, attributes=LABELS)
+        store = chunk_store.create(folder, ABOUT, trials=10, chunk=4, attributes=LABELS)
         chunks.write(store, 0, values(0))
         before = bytes_in(folder)
         paths = [folder.parent, folder, *folder.rglob("*")]
@@ -240,7 +226,7 @@ def test_a_folder_that_must_not_be_written_is_said_and_can_be_read():
             path.chmod(0o555 if path.is_dir() else 0o444)
         try:
             with as_nobody():
-                again = chunks.open_chunks(folder)
+                again = chunk_store.open_chunks(folder)
                 assert_is(chunks.read(again, 0), 0)
                 with pytest.raises(StudyError, match=r"cannot be written: Permission denied; what"):
                     chunks.check_writable(again)
@@ -248,7 +234,7 @@ def test_a_folder_that_must_not_be_written_is_said_and_can_be_read():
                     chunks.write(again, 1, values(1))
                 other = folder.parent / "other"
                 with pytest.raises(StudyError, match="cannot be made: Permission denied"):
-                    chunks.create(other, ABOUT, trials=10, chunk=4, attributes={})
+                    chunk_store.create(other, ABOUT, trials=10, chunk=4, attributes={})
         finally:
             for path in paths:
                 path.chmod(0o755)
@@ -258,15 +244,15 @@ def test_a_folder_that_must_not_be_written_is_said_and_can_be_read():
 def test_stores_of_another_kind_are_refused(store, tmp_path):
     meta = store.folder / chunks.RESULTS / "zarr.json"
     whole = meta.read_text()
-    meta.write_text(whole.replace('"format": 1', '"format": 2'))
-    with pytest.raises(StudyError, match="has format 2, this version of jaxtrack reads 1"):
-        chunks.open_chunks(store.folder)
+    meta.write_text(whole.replace('"format": 2', '"format": 9'))
+    with pytest.raises(StudyError, match="has format 9, this version of jaxtrack reads 2"):
+        chunk_store.open_chunks(store.folder)
     meta.write_text(whole[:-20])
     with pytest.raises(StudyError, match="cannot be read"):
-        chunks.open_chunks(store.folder)
+        chunk_store.open_chunks(store.folder)
     zarr.create_group(tmp_path / "paper" / chunks.RESULTS, zarr_format=3)
     with pytest.raises(StudyError, match="not those of a study's file"):
-        chunks.open_chunks(tmp_path / "paper")
+        chunk_store.open_chunks(tmp_path / "paper")
 
 
 def test_a_chunk_is_removed_with_what_a_broken_write_left_of_it(store):
@@ -287,7 +273,7 @@ def test_of_two_runs_that_begin_at_once_one_is_told(store):
     before = bytes_in(store.folder)
     about = {"mean.found": chunks.Variable((), (), "float32")}
     with pytest.raises(StudyError, match="another run began there at the same time"):
-        chunks.create(store.folder, about, trials=4, chunk=2, attributes={})
+        chunk_store.create(store.folder, about, trials=4, chunk=2, attributes={})
     assert bytes_in(store.folder) == before
 
 

@@ -91,7 +91,7 @@ def test_every_study_is_tried_and_told_of():
 @pytest.mark.parametrize("name", TINY)
 def test_a_file_fits_its_functions(name):
     design = read_design(shipped_study(name))
-    assert f"jaxtrack study run {name}\n" in design.text
+    assert f"jaxtrack study run {name}\n" in design.file.text
     assert design.trials % design.chunk == 0
     variables = variables_of(design, programs_of(reduced(name, (TINY[name],))))
     assert set(variables) == {f"{TINY[name]}.{metric.name}" for metric in design.metrics}

@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from jaxtrack.studies import chunks
+from jaxtrack.studies import chunk_store, chunks
 from jaxtrack.studies.design import read_design
 from jaxtrack.studies.hold import held
 from jaxtrack.studies.run import run_study, status_of
@@ -112,7 +112,7 @@ def test_chunks_beyond_the_end_are_removed(tmp_path, long):
     wide = run_study(design, tmp_path / "wide", stopped=lambda: True)
     assert wide.found.trials == 8
     # A process was ahead when the others died: chunk 2 is there, chunk 1 is not.
-    values = chunks.read(chunks.open_chunks(whole), 2)
+    values = chunks.read(chunk_store.open_chunks(whole), 2)
     chunks.write(wide.store, 2, values)
     assert status_of(tmp_path / "wide").found.trials == 8
     assert run_study(design, tmp_path / "wide").complete
@@ -176,7 +176,7 @@ def test_a_full_disk_of_one_process_ends_both_and_loses_nothing(tmp_path, long):
     reason = f"StudyError: {out}: {span} could not be written: No space left on device"
     assert reason in complaints[1]
     assert f"process 1 ended: {reason.partition(' ')[2]}" in complaints[0]
-    assert chunks.committed(chunks.open_chunks(out)) == {*numbers[0], *numbers[1][:2]}
+    assert chunks.committed(chunk_store.open_chunks(out)) == {*numbers[0], *numbers[1][:2]}
     assert run_study(read_design(file), out).complete
     assert results_in(out) == results_in(whole)
 
@@ -196,16 +196,28 @@ def test_what_is_damaged_is_computed_again_by_two_processes(tmp_path, long):
 
 
 @pytest.mark.slow
+def test_two_processes_make_a_study_longer(tmp_path, long):
+    file, whole = long
+    out = tmp_path / "out"
+    short = written(tmp_path, FILE.replace("trials = 40", "trials = 204"))
+    assert run_study(read_design(short), out).complete
+    codes, numbers, complaints = ended(two(file, out))
+    assert codes == [0, 0], complaints
+    assert sorted(numbers[0] + numbers[1]) == list(range(25, 60))
+    assert results_in(out) == results_in(whole)
+
+
+@pytest.mark.slow
 def test_a_store_of_another_version_is_refused_in_both(tmp_path, long):
     file, whole = long
     out = tmp_path / "out"
     shutil.copytree(whole, out)
     meta = out / chunks.RESULTS / "zarr.json"
-    meta.write_text(meta.read_text().replace('"format": 1', '"format": 2'))
+    meta.write_text(meta.read_text().replace('"format": 2', '"format": 9'))
     before = bytes_in(out)
     codes, numbers, complaints = ended(two(file, out))
     assert (codes, numbers) == ([1, 1], [[], []])
-    reason = "the store has format 2, this version of jaxtrack reads 1"
+    reason = "the store has format 9, this version of jaxtrack reads 2"
     assert f"StudyError: {out}: {reason}" in complaints[0]
     assert f"StudyError: process 0 ended: {out}: {reason}" in complaints[1]
     assert bytes_in(out) == before

@@ -178,8 +178,8 @@ def test_a_truncated_chunk_is_told_and_computed_again(tmp_path, done):
         ("limit_m = 0.5", "limit_m = 1", ["study.metric.beyond.limit_m: 0.5 there, 1 here"]),
         (
             "seed = 3\ntrials = 40",
-            "trials = 48",
-            ["study.seed: 3 there, 0 here", "study.trials: 40 there, 48 here"],
+            "trials = 32",
+            ["study.seed: 3 there, 0 here", "study.trials: 40 there, 32 here"],
         ),
     ],
 )
@@ -197,7 +197,9 @@ def test_another_configuration_is_refused_with_its_keys(tmp_path, done, old, new
 def test_other_functions_and_other_versions_are_refused(tmp_path, done, monkeypatch):
     design, whole = done
     changed = read_design(written(tmp_path, functions=FUNCTIONS + "\n# another\n"))
-    with pytest.raises(StudyError, match=r"made_with.functions.scene: .* there, .* here"):
+    with pytest.raises(
+        StudyError, match=r"differs: made_with.functions.mine.py: .* there, .* here$"
+    ):
         run_study(changed, whole.store.folder)
     facts = made.decisive(design)
     monkeypatch.setattr(made, "decisive", lambda _: {**facts, "jaxlib": "0.0.1"})
@@ -215,10 +217,25 @@ def test_comments_and_order_make_no_other_study(tmp_path, done):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("mine:mean", "mine:broken", r"method.mean: KeyError: 'nowhere' \(.*mine.py, line 41\)"),
-        ('static = ["count"]', "", r"scene: TypeError: .*\(numbers are traced, unless `static`"),
-        ("mine:error_m", "mine:words", r"metric.error_m: TypeError: .*"),
-        ("mine:error_m", "mine:vector", r"metric.error_m: got float64 of shape \[5\] of method"),
+        (
+            "mine:mean",
+            "mine:broken",
+            r":14: method.mean.function: KeyError: 'nowhere'.*, line 41\)",
+        ),
+        ("mine:mean", "mine:leaves", r":14: method.mean.function: SystemExit: 3 .*, line 45\)"),
+        ("mine:mean", "mine:longer", r":14: method.mean.function: .*; it was given float64\[5\]"),
+        (
+            'static = ["count"]',
+            "",
+            r":8: scene.function: TypeError: .*\(numbers are traced, unless",
+        ),
+        ("mine:error_m", "mine:words", r":22: metric.error_m.function: TypeError: .*"),
+        (
+            "mine:error_m",
+            "mine:vector",
+            r":22: metric.error_m.function: got float64 of shape \[5\]",
+        ),
+        ("mine:error_m", "mine:mixed", r":22: metric.error_m.function: got .*, want one dtype in"),
     ],
 )
 def test_functions_that_do_not_fit_are_named_before_anything_is_made(tmp_path, old, new, message):
@@ -304,3 +321,18 @@ def test_the_number_of_devices_changes_no_bit(tmp_path, done, devices):
         capture_output=True,
     )
     assert results_in(out) == results_in(whole.store.folder)
+
+
+def test_the_rate_leaves_out_the_first_chunk_and_counts_those_of_other_processes(done, monkeypatch):
+    design, _ = done
+    clock, seen = [0.0], []
+    monkeypatch.setattr(run.time, "perf_counter", lambda: clock[0])
+    reporter = run._Reporter(design, seen.append)
+    for first, begin, end in ((0, 0.0, 9.0), (16, 10.0, 11.0), (32, 12.0, 14.0)):
+        clock[0] = begin
+        reporter.begin(first, first + 8, None)
+        clock[0] = end
+        reporter.report(1.0)
+    # Chunks 1 and 3 are another process's; 24 trials have come in four seconds.
+    assert [progress.rate for progress in seen] == [8 / 9, 8 / 1, 24 / 4]
+    assert [progress.done for progress in seen] == [8, 24, 40]

@@ -17,9 +17,10 @@ import pytest
 
 from jaxtrack.cli import main
 from jaxtrack.cli.study import progress_text
-from jaxtrack.studies import chunks, run
+from jaxtrack.studies import chunk_store, chunks, run
 from jaxtrack.studies.design import read_design
 from jaxtrack.studies.functions import shipped_study
+from jaxtrack.studies.hold import LOCK
 from jaxtrack.studies.run import Progress
 from jaxtrack.studies.trials import programs_of, variables_of
 from tests.studies.own_study import FILE, bytes_in, environment, write_documented, written
@@ -117,7 +118,7 @@ def test_damage_is_shown(study):
         (("run", "wrong.toml"), "wrong.toml:3: trials: got 0"),
         (("resume", "nowhere"), "nowhere: there is no study here"),
         (("status", "nowhere"), "nowhere: there is no study here"),
-        (("status", "nowhere", "--out", "x"), "--out: is for run alone"),
+        (("status", "nowhere", "--out", "x"), "--out: is for run and report; status takes"),
         (("status", "nowhere", "--process-id", "0"), "--coordinator-address, --num-processes"),
         (("run", "study.toml", "--process-id", "0"), "--coordinator-address: is missing; "),
         (("run", "study.toml", *JOINT, "1"), "--coordinator-address: got here, want HOST:PORT"),
@@ -147,7 +148,7 @@ def test_a_full_disk_is_one_line_and_the_study_goes_on_later(study, monkeypatch)
     assert (code, out) == (2, "")
     reason = "could not be written: No space left on device; what was stored before is whole"
     assert re.fullmatch(rf"jaxtrack: here: trials \d+ to \d+ {reason}\n", err)
-    whole = chunks.committed(chunks.open_chunks(pathlib.Path("here")))
+    whole = chunks.committed(chunk_store.open_chunks(pathlib.Path("here")))
     assert whole == set(range(int(re.search(r"trials (\d+)", err)[1]) // 8)) != set()
     assert study("resume", "here")[0] == 0
     study("run", "study.toml")
@@ -156,7 +157,7 @@ def test_a_full_disk_is_one_line_and_the_study_goes_on_later(study, monkeypatch)
 
 @pytest.mark.parametrize("action", ["run", "resume", "status"])
 def test_a_store_of_another_version_is_one_line_and_stays(study, tmp_path, action):
-    store = chunks.create(
+    store = chunk_store.create(
         tmp_path / "here",
         {"mean.error_m": chunks.Variable((), (), "float32")},
         trials=40,
@@ -164,13 +165,13 @@ def test_a_store_of_another_version_is_one_line_and_stays(study, tmp_path, actio
         attributes={},
     )
     meta = store.folder / chunks.RESULTS / "zarr.json"
-    meta.write_text(meta.read_text().replace('"format": 1', '"format": 2'))
+    meta.write_text(meta.read_text().replace('"format": 2', '"format": 9'))
     before = bytes_in(tmp_path / "here")
     target = ("study.toml", "--out", "here") if action == "run" else ("here",)
     code, out, err = study(action, *target)
-    reason = "here: the store has format 2, this version of jaxtrack reads 1"
+    reason = "here: the store has format 9, this version of jaxtrack reads 2"
     assert (code, out, err) == (2, "", f"jaxtrack: {reason}\n")
-    assert bytes_in(tmp_path / "here") == before
+    assert bytes_in(tmp_path / "here") == before | ({LOCK: b""} if action == "run" else {})
 
 
 def test_functions_that_are_gone_are_an_error_and_lose_nothing(study, tmp_path):
@@ -193,6 +194,20 @@ def test_progress_is_one_line_with_what_is_left():
     )
 
 
+@pytest.mark.parametrize("width", range(24, 90))
+def test_progress_in_little_room_keeps_what_counts(width):
+    last = ("neutrosophic.position_ospa_m", 1.25, 0.031)
+    text = progress_text(Progress(250.0, 1000.0, 50.0, last), width)
+    assert len(text) <= width
+    assert text.startswith("25 %, 50 a second, 15 s")
+    if width > 46:
+        assert text.startswith("25 %, 50 a second, 15 s left, ")
+        assert text.endswith(" 1.25 ± .031")
+    if width > 71:
+        assert text.endswith(", neutrosophic.position_ospa_m 1.25 ± .031")
+    assert progress_text(Progress(250.0, 1000.0, 50.0, last), 200).count("of 1000 trials") == 1
+
+
 class Terminal(io.StringIO):
     def isatty(self):
         return True
@@ -205,19 +220,17 @@ def test_a_terminal_gets_one_line_that_is_drawn_again(study, monkeypatch):
     assert study("run", "study.toml")[0] == 0
     drawn = screen.getvalue().split("\r\x1b[K")
     assert drawn[0] == drawn[-1] == ""
-    assert re.match(r"\d+ %, \d+ of 40 trials", drawn[1])
+    assert re.match(r"\d+ %, \S+ a second, ", drawn[1])
     assert max(map(len, drawn)) <= 29
     assert "\n" not in screen.getvalue()
 
 
-def test_a_variable_that_is_gone_is_said(study, tmp_path):
-    study("run", "study.toml", "--out", "here")
+def test_a_variable_that_is_gone_is_said_and_computed_again(study, tmp_path):
+    _, out, _ = study("run", "study.toml", "--out", "here")
     shutil.rmtree(tmp_path / "here" / "results.zarr" / "mean.error_m")
-    code, _, err = study("resume", "here")
-    assert (code, err) == (
-        2,
-        "jaxtrack: here: mean.error_m is missing there: begin in another folder\n",
-    )
+    _, told, _ = study("status", "here")
+    assert "damaged, computed again when resumed: chunk 0 to 4" in told
+    assert study("resume", "here") == (0, out, "")
 
 
 def test_progress_comes_with_every_chunk(tmp_path):

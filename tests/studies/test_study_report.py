@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jaxtrack.cli import main
-from jaxtrack.studies import chunks, report_runs, run, study_report, summary
+from jaxtrack.studies import chunk_store, chunks, report_runs, run, study_report, summary
 from jaxtrack.studies.design import read_design
 from jaxtrack.studies.html_page import folded, table
 from jaxtrack.studies.page_curves import steps
@@ -269,7 +269,7 @@ def test_a_folder_that_cannot_be_written_is_one_line(ran, tmp_path, capsys):
 
 
 def test_times_of_chunks_are_those_of_their_records(ran):
-    store = chunks.open_chunks(ran / "part")
+    store = chunk_store.open_chunks(ran / "part")
     assert set(chunks.commit_times(store)) == {0, 1}
     file = pathlib.Path(ran / "part" / "commits" / "00000001.json")
     assert chunks.commit_times(store)[1] == file.stat().st_mtime
