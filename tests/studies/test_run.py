@@ -1,6 +1,7 @@
 """The engine of studies: draws, grids, differences, stop rules, kills, other configurations."""
 
 import random
+import shutil
 import subprocess
 import sys
 import time
@@ -211,7 +212,9 @@ def test_comments_and_order_make_no_other_study(tmp_path, done):
     _, whole = done
     lines = FILE.replace("seed = 3\ntrials = 40", "# more\ntrials = 40\nseed = 3")
     design = read_design(written(tmp_path, lines))
-    assert run_study(design, whole.store.folder).complete
+    out = shutil.copytree(whole.store.folder, tmp_path / "out")
+    assert run_study(design, out).complete
+    assert status_of(out).design.file.text == lines  # the words are kept all the same
 
 
 @pytest.mark.parametrize(
