@@ -28,7 +28,7 @@ class IsodataSizes(NamedTuple):
 
     rounds: int = 8  # of merging, deleting and dividing, at most; the last does not divide
     updates: int = 3  # iterations of c-means before each
-    iterations: int = 100  # of the c-means at the end, at most
+    iterations: int = 300  # of the c-means at the end, at most
 
 
 class Isodata(NamedTuple):

@@ -216,6 +216,8 @@ def _cluster(
         fixed, jax.lax.stop_gradient(cells.votes), mask=cells.mask, clusters=sizes.start
     )
     first = jnp.pad(first, (0, sizes.patterns - sizes.start), constant_values=-1)
+    # The gradient is that of the fixed point: it is as far off as the centres are.
+    tolerance = 1e-4 if width is None else jnp.finfo(dtype).eps ** 0.5
     clusters = isodata(
         samples,
         cells.votes,
@@ -223,7 +225,7 @@ def _cluster(
         mask=cells.mask,
         active=first >= 0,
         params=params.isodata,
-        tolerance=1e-4,
+        tolerance=tolerance,
         sizes=sizes.isodata,
         width=width,
     )
