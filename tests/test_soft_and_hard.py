@@ -14,19 +14,23 @@ import pytest
 from jaxtrack import clustering, hough, moments, sensors, tracking, tuning
 from jaxtrack.association import (
     AssociationParams,
+    belief_propagation,
     jpda,
     nearest,
     pmht,
     predict_measurement,
     sinkhorn,
 )
+from jaxtrack.association import cloud as echoes
 from jaxtrack.clustering import cloud
-from jaxtrack.hough import slope_intercept
+from jaxtrack.filtering import resampling
+from jaxtrack.hough import line_cells, slope_intercept, standard
 from jaxtrack.hough.votes import Votes, accumulate, evaluate, hard, soft
 from jaxtrack.numerics.choice import choose, greater, step
 from jaxtrack.tracking import lifecycle, soft_lifecycle
 from jaxtrack.tracking.lifecycle import Births
 from jaxtrack.types import Scan, Stage
+from tests.hough import test_clustering_statistic as csht
 from tests.hough.cases import GRID, PEAKS, SIZES, SPEED, random_looks
 
 FLOAT = jnp.dtype(np.float64)
@@ -66,6 +70,44 @@ def votes_softly(temperature):
     return evaluate(RHO, THETA, VOTES, kernel)
 
 
+SCATTERED = Scan(
+    jnp.arange(3.0), jnp.ones(3, bool), 150.0 * draw(17, 3, 2, 2), jnp.ones((3, 2), bool)
+)
+CENTRES_AT = jnp.meshgrid(
+    35.0 * (jnp.arange(20) + 0.5) - 350.0, (jnp.arange(12) + 0.5) * jnp.pi / 12
+)
+
+
+def sinusoids_softly(temperature):
+    """Return the soft votes of detections in all cells, as their accumulator stands."""
+    rho, theta = (x.ravel() for x in CENTRES_AT)
+    eps = 20.0 * temperature, 0.1 * temperature
+    return standard.soft_votes(rho, theta, SCATTERED, FIELD, *eps, sizes=CELLS).reshape(12, 20)
+
+
+CLUSTERED = draw(18, 6, 7, low=0.0)
+PATCH, PATCH_SIZES = slope_intercept.LineGrid(-3.0, 1.0, 0.0, 2.0), slope_intercept.LineSizes(6, 7)
+
+
+def strong_cells(temperature):
+    found = line_cells.cells_above(
+        CLUSTERED, 0.6, PATCH, cells=30, sizes=PATCH_SIZES, temperature=temperature
+    )
+    return found.votes
+
+
+def one_line(temperature):
+    return line_cells.single_line(CLUSTERED, 0.6, PATCH, sizes=PATCH_SIZES, temperature=temperature)
+
+
+PARTICLES, LOG_WEIGHT = draw(19, 12, 2), 2.0 * draw(20, 12)
+
+
+def resampled(resampler):
+    found = resampler(jax.random.key(5), PARTICLES, LOG_WEIGHT)
+    return found.particles, jnp.exp(found.log_weight)
+
+
 LINE_GRID = slope_intercept.LineGrid(-2.0, 2.0, -10.0, 6.0)
 LINE_SIZES = slope_intercept.LineSizes(velocities=5, positions=8, fine=64)
 PLACES = slope_intercept.Points(
@@ -102,6 +144,12 @@ def looks_for_association():
 
 
 GATE, SPREAD = 9.0, 0.8
+
+
+def shared_by_clouds(associate):
+    mean, scan = looks_for_association()
+    predicted = predict_measurement(mean, jnp.zeros((3, 4, 4)), SPREAD**2 * jnp.eye(2))
+    return associate(predicted, scan, AssociationParams(0.5, 1e-3, GATE)).weight
 
 
 def associated(associate, temperature):
@@ -204,6 +252,21 @@ PARTS = {
         WARM,
         1e-6,
     ),
+    "votes of detections": (
+        sinusoids_softly,
+        lambda: standard.accumulator(SCATTERED, FIELD, sizes=CELLS),
+        WARM,
+        1e-6,
+    ),
+    "strong cells": (strong_cells, lambda: strong_cells(None), WARM, 1e-6),
+    "one line": (one_line, lambda: one_line(None), WARM, 1e-6),
+    # Here the temperature is the share of equal weights in what is drawn from.
+    "resampling": (
+        lambda t: resampled(resampling.soft(resampling.systematic, 1 - t)),
+        lambda: resampled(resampling.systematic),
+        WARM,
+        1e-2,
+    ),
     "votes of lines over time": (
         lambda t: slope_intercept.soft_votes(PLACES, LINE_GRID, 4.0 * t, sizes=LINE_SIZES),
         lambda: slope_intercept.hard_votes(PLACES, LINE_GRID, sizes=LINE_SIZES),
@@ -231,6 +294,18 @@ PARTS = {
         functools.partial(associated, jpda.associate),
         lambda: associated(nearest.optimal, 1.0),
         (0.5, 0.1, 0.02),
+        1e-6,
+    ),
+    "belief propagation": (
+        functools.partial(associated, belief_propagation.associate),
+        lambda: associated(nearest.optimal, 1.0),
+        (0.5, 0.1, 0.02),
+        1e-6,
+    ),
+    "clouds of echoes": (
+        lambda t: shared_by_clouds(functools.partial(echoes.soft, temperature=t)),
+        lambda: shared_by_clouds(echoes.averaged),
+        WARM,
         1e-6,
     ),
     "association by scaling": (
@@ -355,9 +430,11 @@ TRACKER = tracking.KalmanTrackerParams(0.3, 0.1, 0.9, 1e-3, birth_sigma_m_s=1.5)
 
 
 @functools.cache
-def tracker(name):
+def tracker(name, softness=None):
+    lives = None if softness is None else tracking.soft_lives(tracking.Softness(*softness))
+
     def run(scans):
-        made = tracking.kalman_tracker(TRACKER, max_tracks=8, associator=name)
+        made = tracking.kalman_tracker(TRACKER, max_tracks=8, associator=name, lives=lives)
         return jax.lax.scan(made.step, made.init(jax.random.key(0)), scans)[1].tracks
 
     return jax.jit(run)
@@ -381,6 +458,34 @@ def test_tracks_of_weighed_detections_tend_to_those_of_dropped_ones():
         apart.append(np.abs(np.where(confirmed(got)[..., None], got.mean - expected.mean, 0)).max())
     assert apart[0] > apart[1] >= apart[2]
     assert apart[2] < 1e-6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["jpda", "pmht", "belief_propagation", "cloud_averaged"])
+def test_tracks_with_soft_lives_are_those_with_hard_ones(name):
+    scans, _ = two_targets()
+    expected = tracker(name)(scans)
+    assert confirmed(expected)[-1].sum() >= 2
+    got = tracker(name, (1e-6,) * 4)(scans)
+    np.testing.assert_array_equal(got.stage, expected.stage)
+    np.testing.assert_array_equal(got.identity, expected.identity)
+    np.testing.assert_allclose(got.mean, expected.mean, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(got.existence, confirmed(expected), atol=1e-6)
+
+
+@pytest.mark.slow
+def test_targets_of_the_soft_clustering_statistic_are_those_of_the_hard_one():
+    """In most windows: a vote on the edge of a cell may decide on the number of clusters."""
+    fine = csht.SIZES._replace(lines=csht.SIZES.lines._replace(fine=64))
+    exact = jax.jit(functools.partial(hough.clustering_statistic.soft_estimate, sizes=fine))
+    same = 0
+    for seed in range(8):
+        looks = csht.looks(seed)
+        hard, _ = csht.run(looks, csht.PARAMS)
+        soft, _ = exact(looks, csht.PARAMS, 0.01, 1e-4)
+        if (soft.mask == hard.mask).all():
+            same += bool((np.abs(soft.mean - hard.mean) < [[1.0, 1.0, 0.2, 0.2]]).all())
+    assert same >= 4
 
 
 def test_tracks_of_a_soft_association_agree_with_a_hard_one_s_where_nothing_is_in_doubt():

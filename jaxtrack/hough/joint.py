@@ -159,15 +159,22 @@ def estimate(
             seen = scans._replace(weight=jnp.asarray(scans.weight) * free)
             return trajectory_score(state, seen, sensor, observation=observation)
 
-        information = -jax.hessian(total)(state, fixed, fixed_sensor)
-        covariance, definite = scaled_inverse(information)
-        # One Newton step from the fixed end of the search: it carries the maximum's gradient.
-        slope = jax.grad(total)(state, scans, sensor)
-        move = jnp.where(definite, covariance @ slope, 0.0)
-        better = total(state + jax.lax.stop_gradient(move), fixed, fixed_sensor) >= total(
-            state, fixed, fixed_sensor
-        )
-        refined = state + jnp.where(better, move, move - jax.lax.stop_gradient(move))
+        def newton(state: Array, scans: Any, sensor: Any) -> tuple[Array, Array, Array]:
+            """Return the state a step on if that leads up, with the gradient of it in any case."""
+            information = -jax.hessian(total)(state, fixed, fixed_sensor)
+            covariance, definite = scaled_inverse(information)
+            slope = jax.grad(total)(state, scans, sensor)
+            move = jnp.where(definite, covariance @ slope, 0.0)
+            better = total(state + jax.lax.stop_gradient(move), fixed, fixed_sensor) >= total(
+                state, fixed, fixed_sensor
+            )
+            step = jnp.where(better, move, move - jax.lax.stop_gradient(move))
+            return state + step, covariance, definite
+
+        # A step from a fixed state carries the maximum's gradient, if it begins at the maximum:
+        # the search ends before it.
+        state, _, _ = newton(state, fixed, fixed_sensor)
+        refined, covariance, definite = newton(state, scans, sensor)
         return refined, covariance, total(refined, scans, sensor), definite
 
     def average(state: Array, free: Array) -> tuple[Array, ...]:

@@ -223,19 +223,6 @@ def test_the_covariance_is_that_of_least_squares():
             np.testing.assert_allclose(tracks.covariance[n], expected, rtol=1e-3, atol=1e-6)
 
 
-def test_soft_tends_to_hard():
-    """Where no vote lies on an edge of a cell: a count decides on the number of clusters."""
-    sizes = SIZES._replace(lines=SIZES.lines._replace(fine=64))
-    exact = jax.jit(functools.partial(soft_estimate, sizes=sizes))
-    same = 0
-    for seed in range(8):
-        hard, _ = run(looks(seed), PARAMS)
-        soft, _ = exact(looks(seed), PARAMS, 0.01, 1e-4)
-        if (soft.mask == hard.mask).all():
-            same += bool((np.abs(soft.mean - hard.mean) < [[1.0, 1.0, 0.2, 0.2]]).all())
-    assert same >= 4
-
-
 def test_soft_gradients_agree_with_central_differences():
     sizes = SIZES._replace(isodata=IsodataSizes())
     scans, _ = simulate(jax.random.key(3))
