@@ -74,7 +74,7 @@ SCATTERED = Scan(
     jnp.arange(3.0), jnp.ones(3, bool), 150.0 * draw(17, 3, 2, 2), jnp.ones((3, 2), bool)
 )
 CENTRES_AT = jnp.meshgrid(
-    35.0 * (jnp.arange(20) + 0.5) - 350.0, (jnp.arange(12) + 0.5) * jnp.pi / 12
+    35.0 * (jnp.arange(20.0) + 0.5) - 350.0, (jnp.arange(12.0) + 0.5) * jnp.pi / 12
 )
 
 
