@@ -236,6 +236,7 @@ def shortfall(temperature):
 
 # name: (soft(temperature), hard(), temperatures, the last one's largest error)
 WARM = (0.5, 0.1, 0.02, 1e-3)
+COOL = (0.1, 0.02, 1e-3, 1e-4)  # of those that, warmer, are beside the point altogether
 PARTS = {
     "step": (lambda t: step(X, t), lambda: step(X, None), WARM, 1e-6),
     "greater": (lambda t: greater(X, Y, t), lambda: greater(X, Y, None), WARM, 1e-6),
@@ -258,8 +259,8 @@ PARTS = {
         WARM,
         1e-6,
     ),
-    "strong cells": (strong_cells, lambda: strong_cells(None), WARM, 1e-6),
-    "one line": (one_line, lambda: one_line(None), WARM, 1e-6),
+    "strong cells": (strong_cells, lambda: strong_cells(None), COOL, 1e-6),
+    "one line": (one_line, lambda: one_line(None), COOL, 1e-6),
     # Here the temperature is the share of equal weights in what is drawn from.
     "resampling": (
         lambda t: resampled(resampling.soft(resampling.systematic, 1 - t)),
@@ -305,7 +306,7 @@ PARTS = {
     "clouds of echoes": (
         lambda t: shared_by_clouds(functools.partial(echoes.soft, temperature=t)),
         lambda: shared_by_clouds(echoes.averaged),
-        WARM,
+        COOL,
         1e-6,
     ),
     "association by scaling": (
