@@ -65,7 +65,7 @@ class Case(NamedTuple):
     numbers: tuple[float, ...]  # as they are set by hand, > 0
     field: Field
     shares: tuple[tuple[float, float], ...] = ()  # numbers more, from a least to a greatest
-    differs: str | None = None  # why its gradient is not that of differences; None: it is
+    differs: str = ""  # why its gradient is not that of differences; empty: it is
 
 
 ANY, BELOW, INSIDE = (0.0, 1.0), (0.0, 1 - 1e-6), (1e-6, 1 - 1e-6)

@@ -44,7 +44,7 @@ def compiled(name):
     return jax.jit(jax.vmap(of))
 
 
-def evaluated(name, inputs, dtype=np.float64):
+def evaluated(name, inputs, dtype: type[np.floating] = np.float64):
     """Return values [n] and gradients, flat and side by side, [n, D]."""
     cast = lambda x: x.astype(dtype) if x.dtype == np.float64 else x
     count = len(inputs.seed)
@@ -166,8 +166,10 @@ def test_gradients_are_finite_on_hundreds_of_inputs(name):
 @pytest.mark.slow
 @every_case_but(
     **dict.fromkeys(
-        ("joint", "joint, beams", "clustering statistic", "tracker, two motions", "tracker, polar")
-        + tuple(name for name in CASES if name.startswith("neutrosophic")),
+        [
+            *("joint", "joint, beams", "clustering statistic", "tracker, two motions"),
+            *("tracker, polar", *(name for name in CASES if name.startswith("neutrosophic"))),
+        ],
         EXTREME,
     )
 )
