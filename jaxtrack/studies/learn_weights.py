@@ -1,9 +1,9 @@
 """Study of learning through the tracker: a network that gives each echo a weight.
 
 In correlated, spiky clutter that the joint vote does not know, weights come from the best fixed
-threshold, from a network trained on labels, from the same network trained through the joint vote,
-and from the true likelihood ratio, the ceiling. Threshold, bound of the weights and gate are chosen
-for each on the same scenes; then all are scored on others. Beside it: which of a sonar's
+threshold, from a network trained on labels, from the same network that went on through the joint
+vote, and from the true likelihood ratio, the ceiling. Threshold, bound of the weights and gate are
+chosen for each on the same scenes; then all are scored on others. Beside it: which of a sonar's
 specifications matters to the joint vote (`learn_sensitivity`).
 """
 
@@ -35,7 +35,7 @@ from jaxtrack.tuning import FitResult, fit
 from jaxtrack.types import Array, Key
 
 LABELS, TRACKS = "labels", "tracks"
-_LEARNING_RATE = 0.01
+_LEARNING_RATES = 0.01, 0.003  # of the beginning, and of what comes then
 _CLIP = 5.0
 _FITS, _FIRST, _RATES, _CHOOSE, _SCORES, _SENSITIVITY = range(6)  # streams of random keys
 _CHOOSING, _SCORING = "choosing the settings", "held-out scores"
@@ -45,6 +45,7 @@ class Effort(NamedTuple):
     """How much is simulated."""
 
     repeats: int  # networks of each kind, from other first values and on other scenes
+    first_steps: int  # on labels, whatever comes then
     steps: int
     batch: int
     holdout: int
@@ -53,8 +54,8 @@ class Effort(NamedTuple):
     sensitivity: int  # scenes
 
 
-FULL = Effort(3, steps=900, batch=16, holdout=256, every=150, choosing=800, sensitivity=16000)
-SMOKE = Effort(1, steps=2, batch=2, holdout=2, every=1, choosing=4, sensitivity=16)
+FULL = Effort(3, 900, 300, batch=16, holdout=256, every=150, choosing=800, sensitivity=16000)
+SMOKE = Effort(1, 2, 2, batch=2, holdout=2, every=1, choosing=4, sensitivity=16)
 
 
 def run(context: Context) -> None:
@@ -98,31 +99,40 @@ def is_installed() -> bool:
 def train(
     context: Context, effort: Effort, network: Network, firsts: list[Any]
 ) -> dict[tuple[str, int], FitResult]:
-    """Return every network's training, by what it was trained on and its number."""
+    """Return every network's training, by what it was trained on and its number.
+
+    All begin on labels. From there one goes on with them, another goes through the joint vote: by
+    as many steps, at the same rate, on the same scenes.
+    """
     losses: dict[str, Callable[[Any, Key], Array]] = {
         LABELS: label_loss(network),
         TRACKS: track_loss(network),
     }
-    rate = optax.cosine_decay_schedule(_LEARNING_RATE, effort.steps)
+
+    def learn(method: str, start: Any, number: int, stage: int) -> FitResult:
+        what = f"training on {method}, {number + 1}, {('first', 'then')[stage]}"
+        steps = (effort.first_steps, effort.steps)[stage]
+        gate = {"gate": START_GATE} if method == TRACKS else {}
+        return fit(
+            losses[method],
+            {"network": start, **gate},
+            optax.adam(optax.cosine_decay_schedule(_LEARNING_RATES[stage], steps)),
+            key=context.key(_FITS, number, stage),
+            steps=steps,
+            batch=effort.batch,
+            holdout=effort.holdout,
+            clip=_CLIP,
+            every=effort.every,
+            micro_batch=2,
+            checkpoint=parts.folder_of(context, what),
+            progress=functools.partial(context.progress, what),
+        )
+
     fits = {}
-    for method, loss in losses.items():
-        for number, first in enumerate(firsts):
-            what = f"training on {method}, {number + 1}"
-            gate = {"gate": START_GATE} if method == TRACKS else {}
-            fits[method, number] = fit(
-                loss,
-                {"network": first, **gate},
-                optax.adam(rate),
-                key=context.key(_FITS, number),
-                steps=effort.steps,
-                batch=effort.batch,
-                holdout=effort.holdout,
-                clip=_CLIP,
-                every=effort.every,
-                micro_batch=2,
-                checkpoint=parts.folder_of(context, what),
-                progress=functools.partial(context.progress, what),
-            )
+    for number, first in enumerate(firsts):
+        start = learn(LABELS, first, number, 0).params["network"]
+        for method in losses:
+            fits[method, number] = learn(method, start, number, 1)
     return fits
 
 
@@ -132,7 +142,10 @@ def score(
     network: Network,
     fits: dict[tuple[str, int], FitResult],
 ) -> xr.Dataset:
-    """Return OSPA on the held-out scenes, [trial, setting, gate], and on those for choosing."""
+    """Return OSPA on the scenes for choosing, [scene, setting, gate], and on held-out ones.
+
+    There only what was chosen is scored; the rest is NaN.
+    """
     stacked = [
         jax.tree.map(
             lambda *x: jnp.stack(x),
@@ -141,20 +154,16 @@ def score(
         for method in (LABELS, TRACKS)
     ]
     params = Networks(*stacked), rates(context.key(_RATES))
-    found = {}
-    for what, stream, trials in (
-        (_CHOOSING, _CHOOSE, effort.choosing),
-        (_SCORING, _SCORES, context.trials),
-    ):
-        report = functools.partial(context.progress, what)
-        key, fn = context.key(stream), score_with(network)
-        found[what] = np.asarray(parts.run_part(context, what, fn, key, trials, params, report))
     methods, numbers, values = zip(*settings(effort.repeats), strict=True)
-    return xr.Dataset(
-        {
-            "ospa": (("trial", "setting", "gate"), found[_SCORING], {"units": "m"}),
-            "ospa_choosing": (("scene", "setting", "gate"), found[_CHOOSING], {"units": "m"}),
-        },
+
+    def ospa(what: str, stream: int, trials: int, wanted: np.ndarray) -> np.ndarray:
+        report = functools.partial(context.progress, what)
+        key, fn, at = context.key(stream), score_with(network), (*params, wanted)
+        return np.asarray(parts.run_part(context, what, fn, key, trials, at, report))
+
+    tried = ospa(_CHOOSING, _CHOOSE, effort.choosing, np.ones(len(methods), bool))
+    scores = xr.Dataset(
+        {"ospa_choosing": (("scene", "setting", "gate"), tried, {"units": "m"})},
         coords={
             "method": ("setting", list(methods)),
             "network": ("setting", list(numbers)),
@@ -162,6 +171,11 @@ def score(
             "gate": list(GATES),
         },
     )
+    wanted = np.zeros(len(methods), bool)
+    for places in learn_weights_report.choices(scores).values():
+        wanted[[setting for setting, _ in places]] = True
+    found = ospa(_SCORING, _SCORES, context.trials, wanted)
+    return scores.assign(ospa=(("trial", "setting", "gate"), found, {"units": "m"}))
 
 
 def _network(context: Context, repeats: int) -> tuple[Network, list[Any]]:
@@ -180,7 +194,7 @@ STUDY = Study(
     title="Learning through the tracker: weights of echoes; which specification of a sonar matters",
     source="this library",
     trials_short=2,
-    trials_full=1000,
+    trials_full=2000,
     seconds_short=60.0,
     seconds_full=900.0,
     run=run,

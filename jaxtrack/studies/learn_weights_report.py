@@ -37,24 +37,32 @@ class Chosen(NamedTuple):
     gates: list[float]
 
 
-def chosen(scores: xr.Dataset) -> dict[str, Chosen]:
-    """Return every method at its best threshold or k, and gate; of a network's, each repeat's."""
+def choices(scores: xr.Dataset) -> dict[str, list[tuple[int, int]]]:
+    """Return every method's best setting and gate, their places; of a network's, each repeat's."""
     found = {}
     for name in _NAMES:
-        method = "threshold" if name == "no weights" else name
-        own = scores.method.values == method
+        own = scores.method.values == ("threshold" if name == "no weights" else name)
         if name == "no weights":
             own &= scores.value.values == 0.0
-        rows, values, gates = [], [], []
+        found[name] = []
         for repeat in sorted(set(scores.network.values[own])):
             here = np.flatnonzero(own & (scores.network.values == repeat))
             before = scores.ospa_choosing.values[:, here].mean(0)
             setting, gate = np.unravel_index(before.argmin(), before.shape)
-            rows.append(scores.ospa.values[:, here[setting], gate])
-            values.append(float(scores.value.values[here[setting]]))
-            gates.append(float(scores.gate.values[gate]))
-        found[name] = Chosen(np.stack(rows), values, gates)
+            found[name].append((int(here[setting]), int(gate)))
     return found
+
+
+def chosen(scores: xr.Dataset) -> dict[str, Chosen]:
+    """Return every method at its best threshold or k, and gate, on the held-out scenes."""
+    return {
+        name: Chosen(
+            np.stack([scores.ospa.values[:, setting, gate] for setting, gate in places]),
+            [float(scores.value.values[setting]) for setting, _ in places],
+            [float(scores.gate.values[gate]) for _, gate in places],
+        )
+        for name, places in choices(scores).items()
+    }
 
 
 def table(scores: xr.Dataset) -> Table:

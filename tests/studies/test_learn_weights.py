@@ -84,6 +84,23 @@ def test_the_loss_of_labels_is_smooth_in_what_is_trained():
     assert np.abs(slope).max() > 1e-2
 
 
+def test_labels_teach_the_ratio_at_a_place_not_how_far_off_targets_are():
+    def ratio(tilt, scans):
+        far = jnp.log(jnp.maximum(scans.range_m, 1.0) / 75.0)
+        return learn_weights_trial.true_log_ratio(scans) + jnp.where(scans.mask, tilt * far, 0.0)
+
+    loss = learn_weights_trial.label_loss(ratio)
+    slope = jax.grad(lambda tilt, key: loss({"network": tilt}, key))
+    keys = jax.random.split(jax.random.key(4), 1000)
+    found = np.asarray(jax.jit(jax.vmap(slope, (None, 0)))(0.0, keys))
+    error = found.std() / np.sqrt(len(found))
+    assert abs(found.mean()) < 4 * error
+    # What it costs to count once more, or once less, how far off targets are.
+    assert error < 1e-3
+    once_more = np.asarray(jax.jit(jax.vmap(slope, (None, 0)))(1.0, keys))
+    assert once_more.mean() > 10 * error
+
+
 @pytest.mark.slow
 def test_the_loss_of_tracks_is_smooth_in_what_is_trained(monkeypatch):
     key = jax.random.key(2)
@@ -243,7 +260,11 @@ def test_a_tiny_run_writes_all_its_files_and_gives_no_verdict(tmp_path):
     assert "fails" not in text
     groups, summary = store.load(tmp_path)
     assert list(groups) == ["scores", "sensitivity"]
-    assert np.isfinite(groups["scores"].ospa).all()
+    assert np.isfinite(groups["scores"].ospa_choosing).all()
+    chosen = learn_weights_report.choices(groups["scores"])
+    scored = {setting for places in chosen.values() for setting, _ in places}
+    held_out = np.isfinite(groups["scores"].ospa).all(axis=(0, 2))
+    assert set(np.flatnonzero(held_out)) == scored
     assert {row["verdict"] for row in summary["marks"]} == {"smoke", ""}
     json.dumps(summary, allow_nan=False)
     assert len(list(tmp_path.glob("*.png"))) == 3
