@@ -24,7 +24,7 @@ _NAMES = {
     "no weights": "no weights",
     "threshold": "best fixed threshold",
     "labels": "network, on labels alone",
-    "tracks": "network, through the joint vote",
+    "tracks": "network, then through the joint vote",
     "ceiling": "true likelihood ratio",
 }
 
