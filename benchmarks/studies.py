@@ -23,11 +23,11 @@ trials = {trials}
 chunk = 500
 micro_batch = 1
 [scene]
-function = "jaxtrack.studies.csht_trial:window"
+function = "jaxtrack.studies.csht.trial:window"
 [method.CSHT]
-function = "jaxtrack.studies.csht_trial:csht"
+function = "jaxtrack.studies.csht.trial:csht"
 [metric.position_ospa_m]
-function = "jaxtrack.studies.csht_trial:position_ospa_m"
+function = "jaxtrack.studies.csht.trial:position_ospa_m"
 """
 # As little as there can be in a trial: what is left is the engine and the store.
 CHEAP = """

@@ -31,7 +31,7 @@ from jaxtrack.models import (
     straight,
 )
 from jaxtrack.numerics import safe_arctan2, safe_norm
-from jaxtrack.studies import learn_weights_trial
+from jaxtrack.studies.learn import weights_trial
 from jaxtrack.tracking import LifecycleParams, Softness
 from jaxtrack.types import BeamScan, Lines, Pose, Scan
 
@@ -144,13 +144,13 @@ def learned(scans, n, seed):
     floating = lambda x: jnp.issubdtype(x.dtype, jnp.floating)
     window = jax.tree.map(
         lambda x: x.astype(dtype) if floating(x) else x,
-        learn_weights_trial.simulate(jax.random.key(seed)),
+        weights_trial.simulate(jax.random.key(seed)),
     )
     looks = window.scans._replace(valid=scans.valid, mask=window.scans.mask & scans.mask)
     log_ratio = jnp.where(looks.mask & scans.valid[:, None], 20 * (scans.weight - 0.5), 0.0)
     seen = window._replace(scans=looks)
-    with mock.patch.object(learn_weights_trial, "simulate", return_value=seen):
-        loss = learn_weights_trial.track_loss(lambda given, _: given)
+    with mock.patch.object(weights_trial, "simulate", return_value=seen):
+        loss = weights_trial.track_loss(lambda given, _: given)
         return loss({"network": log_ratio, "gate": n[0]}, jax.random.key(0))
 
 
@@ -265,7 +265,7 @@ CASES = {
     "learned": Case(
         learned,
         (10.0,),
-        Field(learn_weights_trial.LOOKS, learn_weights_trial.BEAM_COUNT, 0.5, 80.0, 3.0),
+        Field(weights_trial.LOOKS, weights_trial.BEAM_COUNT, 0.5, 80.0, 3.0),
         differs=CHOICE,
     ),
     "initiate": Case(initiated, (10.0,), PAIRS, (ANY,)),

@@ -60,8 +60,8 @@ def reproduce(
     import jax
 
     from jaxtrack.studies import STUDIES, Context, shown
-    from jaxtrack.studies.papers_report import write_page
     from jaxtrack.studies.parts import FOLDER
+    from jaxtrack.studies.report.papers import write_page
     from jaxtrack.studies.tables import duration
 
     console, errors = console_of_tables(), Console(stderr=True)

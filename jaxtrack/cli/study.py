@@ -47,9 +47,9 @@ def study(
     """
     use_all_cores()
     from jaxtrack.studies.processes import together
+    from jaxtrack.studies.report.study import write_report
     from jaxtrack.studies.run import run_study, status_of
     from jaxtrack.studies.study_file import StudyError
-    from jaxtrack.studies.study_report import write_report
 
     joint = (coordinator_address, num_processes, process_id)
     if out is not None and action in ("status", "resume"):
@@ -207,8 +207,8 @@ def progress_text(progress: "Progress", width: int | None = None) -> str:
 def _show(outcome: "Outcome", folder: pathlib.Path) -> None:
     """Print how far a study is, its table, and how to go on."""
     from jaxtrack.studies import summary
-    from jaxtrack.studies.report_compared import count
-    from jaxtrack.studies.study_report import compared, spans, table_of
+    from jaxtrack.studies.report.compared import count
+    from jaxtrack.studies.report.study import compared, spans, table_of
     from jaxtrack.studies.tables import beneath
 
     console = console_of_tables()

@@ -5,7 +5,7 @@ import pytest
 
 from jaxtrack import plots
 from jaxtrack.plots.saving import described
-from jaxtrack.studies.papers_report import texts_in
+from jaxtrack.studies.report.papers import texts_in
 
 
 def panels(*names):

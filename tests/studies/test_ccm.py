@@ -7,9 +7,12 @@ import rich.console
 import xarray as xr
 
 from jaxtrack.sensors import meeting_pings, meeting_targets, observe_echoes, situations
-from jaxtrack.studies import ccm, ccm_looks, ccm_report, ccm_trial, tables
-from jaxtrack.studies.ccm_looks import SOURCES
-from jaxtrack.studies.ccm_trial import METHODS
+from jaxtrack.studies import tables
+from jaxtrack.studies.ccm import looks as ccm_looks
+from jaxtrack.studies.ccm import report, trial
+from jaxtrack.studies.ccm import study as ccm
+from jaxtrack.studies.ccm.looks import SOURCES
+from jaxtrack.studies.ccm.trial import METHODS
 from jaxtrack.studies.registry import Context
 
 look = jax.jit(ccm_looks.looks_of)
@@ -56,8 +59,7 @@ def seen_at(found):
 
 def verdicts(scores):
     return {
-        row.what: tables.verdict(row.ours, row.mark)
-        for row in ccm_report.marks(scores, ccm.assumed())
+        row.what: tables.verdict(row.ours, row.mark) for row in report.marks(scores, ccm.assumed())
     }
 
 
@@ -87,9 +89,9 @@ def test_too_many_failures_fail(change, what):
 def test_distances_and_their_quotients_are_roots_of_mean_squares():
     scores = made_up()
     squares = {m: scores.squared_m2.sel(cell="A", associator=m).values for m in ("cloud", "jpda")}
-    one = ccm_report.rmse(scores, "A", "cloud")
+    one = report.rmse(scores, "A", "cloud")
     np.testing.assert_allclose(one.value, np.sqrt(squares["cloud"].mean()))
-    found = ccm_report.ratio(scores, "A", "cloud", "jpda")
+    found = report.ratio(scores, "A", "cloud", "jpda")
     np.testing.assert_allclose(
         found.value, np.sqrt(squares["cloud"].mean() / squares["jpda"].mean())
     )
@@ -101,7 +103,7 @@ def test_distances_and_their_quotients_are_roots_of_mean_squares():
 
 def test_the_claim_is_told_where_it_holds_and_where_the_contrary_does():
     scores = made_up(A_jpda=0.2, E_cloud=0.2)
-    found = ccm_report.claims(scores, ["A", "B, pings", "E"])
+    found = report.claims(scores, ["A", "B, pings", "E"])
     told = {(c.cell, c.what): c for c in found if c.rival == "jpda"}
     failures = [told[cell, "failures"] for cell in ("A", "B, pings", "E")]
     assert [c.verdict for c in failures] == ["holds", "alike", "contrary"]
@@ -109,8 +111,8 @@ def test_the_claim_is_told_where_it_holds_and_where_the_contrary_does():
     np.testing.assert_allclose([c.theirs for c in failures], [0.2, 0, 0])
     distance = told["E", "distance"]
     assert distance.verdict == "holds"
-    np.testing.assert_allclose(distance.theirs, ccm_report.rmse(scores, "E", "jpda").value)
-    said = ccm_report.tables(scores, ["A", "B", "E"], ["B, pings"], ccm.assumed())[4]
+    np.testing.assert_allclose(distance.theirs, report.rmse(scores, "E", "jpda").value)
+    said = report.tables(scores, ["A", "B", "E"], ["B, pings"], ccm.assumed())[4]
     assert [column.header for column in said.columns][5:] == ["failures\njpda", "distance\njpda"]
     assert list(said.columns[5].cells) == [
         "holds\n0.0 : 20.0 %",
@@ -127,18 +129,18 @@ def test_each_associator_is_compared_at_its_own_best_clutter():
     jpda, pmht = METHODS.index("jpda"), METHODS.index("pmht")
     squared[place("A, β₀ 0.01"), :, jpda] *= 0.25
     squared[place("A, β₀ 1"), :, pmht] *= 0.64
-    best, least = ccm_report.at_best(scores, ccm.assumed())
+    best, least = report.at_best(scores, ccm.assumed())
     assert (least["A"]["jpda"], least["A"]["pmht"]) == (0.01, 1.0)
     for name, at in (("jpda", "A, β₀ 0.01"), ("pmht", "A, β₀ 1")):
         np.testing.assert_array_equal(
             best.squared_m2.sel(cell="A", associator=name),
             scores.squared_m2.sel(cell=at, associator=name),
         )
-    table = ccm_report.tables(scores, ["A", "B"], ["B, pings"], ccm.assumed())[5]
+    table = report.tables(scores, ["A", "B"], ["B, pings"], ccm.assumed())[5]
     shown = dict(zip(*(list(column.cells) for column in table.columns[:2]), strict=True))
-    want = ccm_report.rmse(scores, "A, β₀ 0.01", "jpda").value
+    want = report.rmse(scores, "A, β₀ 0.01", "jpda").value
     assert shown["jpda"] == f"0.0/0.0\n{want:.3f}\nβ₀ 0.01"
-    row = {row.what: row for row in ccm_report.marks(scores, ccm.assumed())}
+    row = {row.what: row for row in report.marks(scores, ccm.assumed())}
     alone = row["A: cloud / jpda, RMSE"].ours.value
     assert row["A: cloud / jpda, RMSE, each at its best β₀"].ours.value > 1.5 * alone
 
@@ -157,7 +159,7 @@ def test_cells_of_a_situation_see_the_same_looks_whatever_is_assumed(tmp_path):
 
 def test_the_tables_show_what_looks_held_and_count_no_pings_among_the_sweeps():
     scores = made_up(trials=20)
-    found = ccm_report.tables(scores, ["A", "B"], list(ccm.pinged()), ccm.assumed())
+    found = report.tables(scores, ["A", "B"], list(ccm.pinged()), ccm.assumed())
     _, pinged, held, swept = found[:4]
     place = list(ccm.cells()).index("A3, pings")
     names = list(held.columns[0].cells)
@@ -239,13 +241,13 @@ def test_associators_know_what_the_sonar_shows_on_the_average(cell, source):
 def test_tracks_on_pings_are_where_the_targets_are_when_the_beam_gets_there():
     @jax.jit
     def run(key, inputs):
-        seen = ccm_trial.begin(key, inputs)
-        paths = ccm_trial.associate_all(seen)
+        seen = trial.begin(key, inputs)
+        paths = trial.associate_all(seen)
         return seen.looks, {name: path.mean for name, path in paths.items()}
 
     inputs = lambda source: jax.tree.map(
         jnp.asarray,
-        ccm_trial.Inputs(
+        trial.Inputs(
             situations()["A"],
             SOURCES.index(source),
             ccm_looks.known_of(source, situations()["A"].sensor),

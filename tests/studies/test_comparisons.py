@@ -6,8 +6,9 @@ import pathlib
 import numpy as np
 import pytest
 
-from jaxtrack.studies import run, study_report
+from jaxtrack.studies import run
 from jaxtrack.studies.design import design_of, read_design
+from jaxtrack.studies.report import study as study_report
 from jaxtrack.studies.study_file import StudyError
 from tests.studies.own_study import COMPARE, FILE, bytes_in, written
 from tests.studies.reading import checked

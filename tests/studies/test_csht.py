@@ -2,8 +2,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from jaxtrack.studies import csht, csht_paper, csht_report, tables
-from jaxtrack.studies.csht_trial import KNOWN, METHODS
+from jaxtrack.studies import tables
+from jaxtrack.studies.csht import paper, report
+from jaxtrack.studies.csht import study as csht
+from jaxtrack.studies.csht.trial import KNOWN, METHODS
 
 
 def made_up(cells, share_right=1.0, joint=1.05, trials=200):
@@ -32,7 +34,7 @@ def made_up(cells, share_right=1.0, joint=1.05, trials=200):
 def verdicts(**options):
     table = made_up(csht.CELLS, **options)
     table_2 = dict.fromkeys(csht.VARIANTS, table)
-    rows = csht_report.marks(table_2, table, table)
+    rows = report.marks(table_2, table, table)
     return {row.what: tables.verdict(row.ours, row.mark) for row in rows}
 
 
@@ -63,7 +65,7 @@ def test_errors_above_the_bound_and_below_the_floor_fail():
 
 
 def test_tables_hold_every_cell():
-    made = csht_report.errors(made_up(csht.CELLS), "made up")
+    made = report.errors(made_up(csht.CELLS), "made up")
     assert [table.row_count for table in made] == [len(csht.CELLS)] * 3
     number, velocity, position = (str(table.title) for table in made)
     assert "ceiling: share of runs in which the evidence" in number
@@ -74,14 +76,14 @@ def test_tables_hold_every_cell():
 def test_one_run_has_no_spread_and_full_tables_say_so():
     table = made_up(csht.CELLS, trials=1)
     table["count"].loc[{"estimator": "SHT"}] = 9
-    number, velocity, _ = csht_report.errors(table, "made up")
+    number, velocity, _ = report.errors(table, "made up")
     assert set(number.columns[4].cells) == {"≥ 9.00"}
     assert set(number.columns[5].cells) == {"3.00"}
     assert set(velocity.columns[1].cells) == {"20"}
 
 
 def test_pairs_that_did_not_fit_are_told():
-    words = csht_report.overflow(made_up(csht.CELLS))
+    words = report.overflow(made_up(csht.CELLS))
     assert "P_F .1: .000; P_F .3: .000; P_F .5: 1; P_F .7: 1." in words
 
 
@@ -94,12 +96,12 @@ def test_gates_are_shipped_for_every_cell():
 
 
 def test_the_papers_tables_are_whole():
-    for table in (csht_paper.VELOCITY_BY_RATES, csht_paper.POSITION_BY_RATES):
+    for table in (paper.VELOCITY_BY_RATES, paper.POSITION_BY_RATES):
         assert all(rows.shape == (4, 4) for rows in table.values())
     # Where tables 3 and 5, and 4 and 6, show the same cell they agree.
     for rates, sigma in (
-        (csht_paper.VELOCITY_BY_RATES, csht_paper.VELOCITY_BY_SIGMA),
-        (csht_paper.POSITION_BY_RATES, csht_paper.POSITION_BY_SIGMA),
+        (paper.VELOCITY_BY_RATES, paper.VELOCITY_BY_SIGMA),
+        (paper.POSITION_BY_RATES, paper.POSITION_BY_SIGMA),
     ):
         for method in ("CSHT", "SHT"):
             assert rates[method][1, 1] == sigma[method][2]
@@ -109,7 +111,7 @@ def test_medians_and_quotients_carry_95_percent():
     rng = np.random.default_rng(0)
     hits = [
         figure.lower <= 0.0 <= figure.upper
-        for figure in (csht_report.median(rng.normal(size=60), "m") for _ in range(400))
+        for figure in (report.median(rng.normal(size=60), "m") for _ in range(400))
     ]
     assert 0.91 < np.mean(hits) < 0.99
     ours, theirs = rng.normal(2.0, 0.5, 4000), rng.normal(1.0, 0.1, 4000)
@@ -117,14 +119,14 @@ def test_medians_and_quotients_carry_95_percent():
     assert figure.lower < 2.0 < figure.upper
     assert figure.upper - figure.lower < 0.05
     assert np.isnan(tables.quotient(np.zeros(0), np.zeros(0)).value)
-    assert csht_report.median(np.zeros(0), "m").trials == 0
+    assert report.median(np.zeros(0), "m").trials == 0
 
 
 def test_cells_are_named():
-    assert csht_report.cell_name(0.1, 0.7, 3.0) == "P_M .1, P_F .7, σ 3 m"
+    assert report.cell_name(0.1, 0.7, 3.0) == "P_M .1, P_F .7, σ 3 m"
     assert csht.CELLS[0] == pytest.approx((0.1, 0.1, 3.0))
     assert len(csht.CELLS) == 20
 
 
 def test_the_floors_samples_are_told():
-    assert "median 321" in csht_report.effective_samples(made_up(csht.CELLS))
+    assert "median 321" in report.effective_samples(made_up(csht.CELLS))

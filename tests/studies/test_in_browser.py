@@ -6,8 +6,10 @@ import re
 import matplotlib.image
 import pytest
 
-from jaxtrack.studies import papers_report, run, study_report
+from jaxtrack.studies import run
 from jaxtrack.studies.design import read_design
+from jaxtrack.studies.report import papers
+from jaxtrack.studies.report import study as study_report
 from tests.studies import browser
 from tests.studies.own_study import COMPARE, FILE, written
 from tests.studies.test_papers_report import reproduced
@@ -77,7 +79,7 @@ def files(tmp_path_factory):
     run.run_study(read_design(written(home, FILE + COMPARE)), home / "out")
     study_report.write_report(run.status_of(home / "out"), home / "out")
     reproduced(home / "results")
-    results = home / "results" / papers_report.FILE
+    results = home / "results" / papers.FILE
     return {"study": home / "out" / study_report.FILE, "results": results}
 
 

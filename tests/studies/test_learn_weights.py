@@ -12,22 +12,14 @@ from rich.console import Console
 from jaxtrack.models import BEAMS
 from jaxtrack.sensors import Echo
 from jaxtrack.sensors.echoes import echo_amplitudes
-from jaxtrack.studies import (
-    STUDIES,
-    Context,
-    learn_sensitivity,
-    learn_weights,
-    learn_weights_report,
-    learn_weights_trial,
-    store,
-    tables,
-)
-from jaxtrack.studies.learn_echoes import DEGREES, echo_log_ratio
+from jaxtrack.studies import STUDIES, Context, store, tables
+from jaxtrack.studies.learn import sensitivity, weights, weights_report, weights_trial
+from jaxtrack.studies.learn.echoes import DEGREES, echo_log_ratio
 from jaxtrack.types import BeamScan, Pose
 from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import echoes as oracle
 
-simulate = jax.jit(learn_weights_trial.simulate)
+simulate = jax.jit(weights_trial.simulate)
 
 
 @pytest.mark.parametrize("amplitude", [(0.4, 1.5), (2.0, 1.5), (0.05, 0.9)])
@@ -67,7 +59,7 @@ def test_the_odds_it_gives_are_those_of_the_draws():
 def test_weights_are_bounded_odds_and_masked_echoes_weigh_nothing():
     window = simulate(jax.random.key(0))
     ratio = jnp.where(window.scans.mask, jnp.log(3.0), jnp.nan)
-    scans, sensor = learn_weights_trial.weighted(window.scans, ratio, 9.0)
+    scans, sensor = weights_trial.weighted(window.scans, ratio, 9.0)
     np.testing.assert_allclose(scans.weight, jnp.where(window.scans.mask, 0.25, 0.0))
     assert sensor.sonar.p_false == pytest.approx(0.1)
 
@@ -78,7 +70,7 @@ def plain(arrays, scans):
 
 
 def test_the_loss_of_labels_is_smooth_in_what_is_trained():
-    loss, key = learn_weights_trial.label_loss(plain), jax.random.key(2)
+    loss, key = weights_trial.label_loss(plain), jax.random.key(2)
     of = lambda x: loss({"network": x}, key)
     (slope,) = assert_gradients_agree(of, np.array([1.0, 0.3]), rtol=1e-5)
     assert np.abs(slope).max() > 1e-3
@@ -87,9 +79,9 @@ def test_the_loss_of_labels_is_smooth_in_what_is_trained():
 def test_labels_teach_the_ratio_at_a_place_not_how_far_off_targets_are():
     def ratio(tilt, scans):
         far = jnp.log(jnp.maximum(scans.range_m, 1.0) / 75.0)
-        return learn_weights_trial.true_log_ratio(scans) + jnp.where(scans.mask, tilt * far, 0.0)
+        return weights_trial.true_log_ratio(scans) + jnp.where(scans.mask, tilt * far, 0.0)
 
-    loss = learn_weights_trial.label_loss(ratio)
+    loss = weights_trial.label_loss(ratio)
     slope = jax.grad(lambda tilt, key: loss({"network": tilt}, key))
     keys = jax.random.split(jax.random.key(4), 400)
     both = jax.jit(jax.vmap(jax.vmap(slope, (None, 0)), (0, None)))(jnp.arange(2.0), keys)
@@ -105,15 +97,15 @@ def test_the_loss_of_tracks_is_smooth_in_what_is_trained(monkeypatch):
     key = jax.random.key(2)
     # Which trajectory is the rival, and where samples stand, is held fixed in the gradient.
     window = simulate(key)
-    at = learn_weights_trial.weighted(window.scans, plain(jnp.array([1.0, 0.3]), window.scans), 10)
-    rival = learn_weights_trial._rival(*at, window.truth.state[-1])
+    at = weights_trial.weighted(window.scans, plain(jnp.array([1.0, 0.3]), window.scans), 10)
+    rival = weights_trial._rival(*at, window.truth.state[-1])
     assert rival[1]
-    monkeypatch.setattr(learn_weights_trial, "_rival", lambda *_: rival)
+    monkeypatch.setattr(weights_trial, "_rival", lambda *_: rival)
     score = lambda state, scans, sensor, *_, observation, **__: (
         None, None, observation.scores(state[None], scans, sensor)[0]
     )  # fmt: skip
-    monkeypatch.setattr(learn_weights_trial.joint, "evidence", score)
-    tracks = learn_weights_trial.track_loss(plain)
+    monkeypatch.setattr(weights_trial.joint, "evidence", score)
+    tracks = weights_trial.track_loss(plain)
     of = lambda x: tracks({"network": x[:2], "gate": x[2]}, key)
     (slope,) = assert_gradients_agree(of, np.array([1.0, 0.3, 9.0]), rtol=1e-5)
     assert np.abs(slope).max() > 1e-2
@@ -122,10 +114,10 @@ def test_the_loss_of_tracks_is_smooth_in_what_is_trained(monkeypatch):
 @pytest.mark.slow
 def test_the_rival_is_no_target_and_the_best_of_what_is_left():
     window = simulate(jax.random.key(3))
-    ratio = learn_weights_trial.true_log_ratio(window.scans)
-    scans, sensor = learn_weights_trial.weighted(window.scans, ratio, 10.0)
+    ratio = weights_trial.true_log_ratio(window.scans)
+    scans, sensor = weights_trial.weighted(window.scans, ratio, 10.0)
     truth = window.truth.state[-1]
-    state, there = jax.jit(learn_weights_trial._rival)(scans, sensor, truth)
+    state, there = jax.jit(weights_trial._rival)(scans, sensor, truth)
     assert there
     span = scans.time_s[0] - scans.time_s[-1]
     far = lambda ago: jnp.linalg.norm(
@@ -136,12 +128,12 @@ def test_the_rival_is_no_target_and_the_best_of_what_is_left():
     assert score[0] > 0  # clutter that happens to lie on a line
     # Without any detection there is no rival.
     silent = scans._replace(mask=jnp.zeros_like(scans.mask))
-    assert not jax.jit(learn_weights_trial._rival)(silent, sensor, truth)[1]
+    assert not jax.jit(weights_trial._rival)(silent, sensor, truth)[1]
 
 
 def test_what_a_network_sees_ignores_what_is_masked_and_starts_with_equal_weights():
     pytest.importorskip("flax")
-    from jaxtrack.studies.learn_network import echo_network, features_of
+    from jaxtrack.studies.learn.network import echo_network, features_of
 
     mask = jnp.array([[True, False, True, True]])
     pose = Pose(jnp.zeros((1, 2)), jnp.zeros(1))
@@ -160,12 +152,12 @@ def test_what_a_network_sees_ignores_what_is_masked_and_starts_with_equal_weight
 
 def made_up(best=2.0, ceiling=1.0, tracks=1.2, labels=1.3, trials=400):
     """Scores of which setting and gate 1 are the best on the scenes for choosing."""
-    settings = learn_weights_trial.settings(2)
+    settings = weights_trial.settings(2)
     level = {"threshold": best, "ceiling": ceiling, "tracks": tracks, "labels": labels}
-    shape = len(settings), len(learn_weights_trial.GATES)
+    shape = len(settings), len(weights_trial.GATES)
     ospa = np.full((trials, *shape), 9.0)
     for place, (method, _, value) in enumerate(settings):
-        if value in (learn_weights_trial.THRESHOLDS[1], learn_weights_trial.BOOSTS[1]):
+        if value in (weights_trial.THRESHOLDS[1], weights_trial.BOOSTS[1]):
             ospa[:, place, 1] = level[method]
     noise = np.random.default_rng(0).normal(size=(trials, 1, 1))
     return xr.Dataset(
@@ -177,20 +169,20 @@ def made_up(best=2.0, ceiling=1.0, tracks=1.2, labels=1.3, trials=400):
             "method": ("setting", [method for method, _, _ in settings]),
             "network": ("setting", [n for _, n, _ in settings]),
             "value": ("setting", [x for _, _, x in settings]),
-            "gate": list(learn_weights_trial.GATES),
+            "gate": list(weights_trial.GATES),
         },
     )
 
 
 def verdicts(scores):
-    rows = learn_weights_report.marks(scores)
+    rows = weights_report.marks(scores)
     return {row.what: (row.ours.value, tables.verdict(row.ours, row.mark)) for row in rows}
 
 
 def test_settings_are_chosen_on_other_scenes_and_the_gap_is_closed_in_shares():
-    chosen = learn_weights_report.chosen(made_up())
-    assert chosen["threshold"].values == [learn_weights_trial.THRESHOLDS[1]]
-    assert chosen["tracks"].gates == [learn_weights_trial.GATES[1]] * 2
+    chosen = weights_report.chosen(made_up())
+    assert chosen["threshold"].values == [weights_trial.THRESHOLDS[1]]
+    assert chosen["tracks"].gates == [weights_trial.GATES[1]] * 2
     assert chosen["tracks"].ospa_m.shape == (2, 400)
     words = verdicts(made_up())
     assert words["share closed, trained through the joint vote"] == (pytest.approx(0.8), "pass")
@@ -199,25 +191,25 @@ def test_settings_are_chosen_on_other_scenes_and_the_gap_is_closed_in_shares():
     assert few["share closed, trained through the joint vote"] == (pytest.approx(0.5), "fails")
     smoke = verdicts(made_up(trials=19))
     assert smoke["share closed, trained through the joint vote"][1] == "smoke"
-    table = learn_weights_report.table(made_up())
+    table = weights_report.table(made_up())
     assert list(table.columns[3].cells) == ["", ".000", ".700", ".800", "1"]
 
 
 @pytest.mark.slow
 def test_scores_of_the_specification_are_slopes_of_the_density_and_mean_nothing():
-    spec = learn_sensitivity.Specification(3.0, 0.05, 0.3, 0.4)
-    draws = learn_sensitivity.draw(jax.random.key(0))
-    seen = learn_sensitivity.report(draws, spec)
+    spec = sensitivity.Specification(3.0, 0.05, 0.3, 0.4)
+    draws = sensitivity.draw(jax.random.key(0))
+    seen = sensitivity.report(draws, spec)
 
     def density(x):
-        return learn_sensitivity.log_density(draws, seen, learn_sensitivity.Specification(*x))
+        return sensitivity.log_density(draws, seen, sensitivity.Specification(*x))
 
     assert_gradients_agree(density, np.array(spec), rtol=1e-5)
 
     def one(key):
-        draws = learn_sensitivity.draw(key)
-        seen = learn_sensitivity.report(draws, spec)
-        of = lambda spec: learn_sensitivity.log_density(draws, seen, spec)
+        draws = sensitivity.draw(key)
+        seen = sensitivity.report(draws, spec)
+        of = lambda spec: sensitivity.log_density(draws, seen, spec)
         slope = jnp.stack(jax.grad(of)(jax.tree.map(jnp.asarray, spec)))
         noise = jnp.where(seen.hit, (spec.sigma_m * draws.noise[..., 0]) ** 2, 0.0)
         count = lambda x: x.sum(dtype=float)
@@ -239,7 +231,7 @@ def test_scores_of_the_specification_are_slopes_of_the_density_and_mean_nothing(
 
 
 def test_without_flax_it_says_so_and_writes_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr(learn_weights, "is_installed", lambda: False)
+    monkeypatch.setattr(weights, "is_installed", lambda: False)
     screen = io.StringIO()
     context = Context(tmp_path, 2, 7, Console(file=screen, width=160), lambda *_: None)
     STUDIES["learn_weights"].run(context)
@@ -260,7 +252,7 @@ def test_a_tiny_run_writes_all_its_files_and_gives_no_verdict(tmp_path):
     groups, summary = store.load(tmp_path)
     assert list(groups) == ["scores", "sensitivity"]
     assert np.isfinite(groups["scores"].ospa_choosing).all()
-    chosen = learn_weights_report.choices(groups["scores"])
+    chosen = weights_report.choices(groups["scores"])
     scored = {setting for places in chosen.values() for setting, _ in places}
     held_out = np.isfinite(groups["scores"].ospa).all(axis=(0, 2))
     assert set(np.flatnonzero(held_out)) == scored

@@ -3,9 +3,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from jaxtrack.studies import moment, moment_report, tables
-from jaxtrack.studies.moment_paper import TABLES
-from jaxtrack.studies.moment_trial import METHODS, SCENES, SIDE_M, begin, track_all
+from jaxtrack.studies import tables
+from jaxtrack.studies.moment import report
+from jaxtrack.studies.moment import study as moment
+from jaxtrack.studies.moment.paper import TABLES
+from jaxtrack.studies.moment.trial import METHODS, SCENES, SIDE_M, begin, track_all
 
 LOOKS = 27
 
@@ -38,7 +40,7 @@ HELPS = {("hovering, two objects", "zernike"): 0.6}
 
 
 def verdicts(scores):
-    return {row.what: tables.verdict(row.ours, row.mark) for row in moment_report.marks(scores)}
+    return {row.what: tables.verdict(row.ours, row.mark) for row in report.marks(scores)}
 
 
 def test_good_figures_pass_and_few_say_smoke():
@@ -69,18 +71,18 @@ def test_distances_count_looks_that_cross_and_losses_the_last_five():
     scores.error_m[0, 0, 0] = 0.0
     scores.error_m[0, 0, 0, 4] = np.array([3.0, 4.0])
     cell, name = str(scores.cell.values[0]), METHODS[0]
-    np.testing.assert_allclose(moment_report.s_m(scores, cell, name)[0], 5 / LOOKS)
+    np.testing.assert_allclose(report.s_m(scores, cell, name)[0], 5 / LOOKS)
     scores.crossed[0, 0, 5:] = False
-    np.testing.assert_allclose(moment_report.s_m(scores, cell, name)[0], 1.0)
-    assert not moment_report.is_lost(scores, cell, name)[0]
+    np.testing.assert_allclose(report.s_m(scores, cell, name)[0], 1.0)
+    assert not report.is_lost(scores, cell, name)[0]
     scores.error_m[0, 0, 0, -5:] = np.array([2.4, 1.9])
-    assert moment_report.is_lost(scores, cell, name)[0]
+    assert report.is_lost(scores, cell, name)[0]
 
 
 def test_the_interval_of_a_median_covers_it():
     rng = np.random.default_rng(1)
     inside = [
-        (f := moment_report.median(rng.exponential(size=60))).lower <= np.log(2) <= f.upper
+        (f := report.median(rng.exponential(size=60))).lower <= np.log(2) <= f.upper
         for _ in range(200)
     ]
     assert 0.88 <= np.mean(inside) <= 0.99
@@ -96,10 +98,10 @@ def test_every_printed_figure_has_a_tracker_and_table_8_is_as_printed():
 
 def test_tables_say_what_holds():
     scores = made_up(lost=HELPS)
-    *_, claims = moment_report.tables(scores, scores)
+    *_, claims = report.tables(scores, scores)
     first = [column._cells[0] for column in claims.columns][1:]
     assert all(cell.startswith("holds") for cell in first)
-    rows = list(moment_report.claims(scores))
+    rows = list(report.claims(scores))
     place = rows.index("Hu without it soon fails to track")
     hu = [column._cells[place] for column in claims.columns][1:]
     assert all(cell.startswith("contrary") for cell in hu)
@@ -111,7 +113,7 @@ def test_a_step_that_runs_ahead_of_the_side_is_no_help_from_there():
     place = METHODS.index("zernike")
     both[:, :, place] = np.array([SIDE_M, 0.0])
     scores["side_error_m"] = scores.error_m - np.array([SIDE_M, 0.0])
-    found = moment_report.claims(scores)
+    found = report.claims(scores)
     cell = "following, clean"
     assert found["the optimised transition lowers S of Zernike"][cell][0] == "holds"
     assert found["… of Zernike from the side"][cell][0] == "contrary"
@@ -120,7 +122,7 @@ def test_a_step_that_runs_ahead_of_the_side_is_no_help_from_there():
 def test_sweeps_are_judged_like_the_scenes_they_vary():
     scores, sweeps = made_up(lost=HELPS), made_up(sizes={"shape": 0.3})
     sweeps = sweeps.assign_coords(cell=["step 0.3 m", *(f"objects at {k} m" for k in range(5))])
-    found = {row.what: row for row in moment_report.marks(scores, sweeps)}
+    found = {row.what: row for row in report.marks(scores, sweeps)}
     assert found["step 0.3 m: shape, lost"].mark.bound == 0.02
     assert found["objects at 1 m: shape, lost"].mark.bound == 0.05
     row = found["step 0.3 m: shape, median S"]

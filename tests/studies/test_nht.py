@@ -13,10 +13,14 @@ from rich.console import Console
 from jaxtrack.hough import Grid, Sizes, neutrosophic
 from jaxtrack.metrics import MAX_DISCRIMINATION, least_squares_line
 from jaxtrack.sensors import crossing_targets, observe
-from jaxtrack.studies import STUDIES, Context, nht, nht_marks, nht_report, nht_scores, store, tables
-from jaxtrack.studies.nht_times import shape_for
-from jaxtrack.studies.nht_trial import FORMS, METHODS, PEAKS, SHAPES, Outcome, forms_of
-from jaxtrack.studies.nht_words import target_votes
+from jaxtrack.studies import STUDIES, Context, store, tables
+from jaxtrack.studies.nht import marks
+from jaxtrack.studies.nht import report as nht_report
+from jaxtrack.studies.nht import scores as nht_scores
+from jaxtrack.studies.nht import study as nht
+from jaxtrack.studies.nht.times import shape_for
+from jaxtrack.studies.nht.trial import FORMS, METHODS, PEAKS, SHAPES, Outcome, forms_of
+from jaxtrack.studies.nht.words import target_votes
 from jaxtrack.types import Lines
 
 
@@ -38,7 +42,7 @@ def made_up(situations, share, trials=200):
 
 
 def verdicts(simulated, real):
-    rows = nht_marks.rows(simulated, real)
+    rows = marks.rows(simulated, real)
     return {row.what: tables.verdict(row.ours, row.mark) for row in rows}
 
 
@@ -65,7 +69,7 @@ def test_marks_pass_fail_and_say_smoke():
 def test_the_mark_of_situation_one_is_held_by_the_worst_method():
     simulated = made_up(nht.SITUATIONS, 1.0)
     simulated.top_k.loc[{"situation": "I", "estimator": "MHT", "peaks": "smoothed"}] = 180
-    rows = nht_marks.rows(simulated, made_up(nht.REAL, 1.0))
+    rows = marks.rows(simulated, made_up(nht.REAL, 1.0))
     assert "MHT smoothed" in rows[0].what
     assert tables.verdict(rows[0].ours, rows[0].mark) == "fails"
 

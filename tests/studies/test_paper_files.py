@@ -9,23 +9,20 @@ import numpy as np
 import pytest
 
 from jaxtrack.sensors import motion_elements_scene, situations
-from jaxtrack.studies import (
-    ccm_looks,
-    ccm_trial,
-    csht_cells,
-    csht_paper,
-    csht_report,
-    csht_trial,
-    moment_paper,
-    moment_trial,
-    nht_scenes,
-    nht_scores,
-    nht_trial,
-    tracking_trial,
-)
+from jaxtrack.studies.ccm import looks
+from jaxtrack.studies.ccm import trial as ccm_trial
+from jaxtrack.studies.csht import cells as csht_cells
+from jaxtrack.studies.csht import paper as csht_paper
+from jaxtrack.studies.csht import report
+from jaxtrack.studies.csht import trial as csht_trial
 from jaxtrack.studies.design import design_of, read_design
 from jaxtrack.studies.functions import shipped_studies, shipped_study
+from jaxtrack.studies.moment import paper as moment_paper
+from jaxtrack.studies.moment import trial as moment_trial
+from jaxtrack.studies.nht import scenes, scores
+from jaxtrack.studies.nht import trial as nht_trial
 from jaxtrack.studies.run import run_study
+from jaxtrack.studies.tracking import trial as tracking_trial
 from jaxtrack.studies.trials import programs_of, variables_of
 
 KEY = jax.random.key(11)
@@ -121,7 +118,7 @@ def test_bounds_of_the_files_are_the_marks_of_the_studies():
         study = "csht_estimation" if cell.sigma_m == 3.0 else "csht_estimation_noise"
         fields = {"false_alarms": "literal", **cell._asdict()}
         of = lambda metric, at=(study, fields): compared(at[0], "wanted", metric, "joint", **at[1])
-        mark, _ = csht_report._wanted(*cell)
+        mark, _ = report._wanted(*cell)
         assert of("number_right") == (None if mark is None else mark.bound)
         what = "RATES" if cell.sigma_m == 3.0 else "SIGMA"
         printed = getattr(csht_paper, f"POSITION_BY_{what}")["CSHT"]
@@ -189,14 +186,14 @@ def test_sonar_windows_are_the_studys():
 def test_crossing_targets_are_the_studys():
     design = read_design(shipped_study("nht_sparse"))
     gates = {method.name: method.fields["gate"] for method in design.methods}
-    inputs = nht_scenes.simulated_inputs("IV", 10.0, 10.0, gates["joint"])
+    inputs = scenes.simulated_inputs("IV", 10.0, 10.0, gates["joint"])
     outcome = jax.jit(nht_trial.trial(nht_trial.SHAPES["10"]))(KEY, inputs)
     for name, at in {
         "joint": ("joint", "raw"),
         "MHT_smoothed": ("MHT", "smoothed"),
         "NHT_wide": ("NHT wide", "raw"),
     }.items():
-        score = nht_scores.scores(outcome.lines[at], inputs.truth, 50.0, gates[name])
+        score = scores.scores(outcome.lines[at], inputs.truth, 50.0, gates[name])
         wanted = {"top_3": score.top_k, "perfect": score.perfect}
         wanted |= {"found": score.found, "false": score.false}
         equal(figures("nht_sparse", name, sigma_m=10.0, clutter_per_scan=10.0), wanted)
@@ -206,8 +203,8 @@ def test_crossing_targets_are_the_studys():
 @pytest.mark.parametrize("source", ["echoes", "centroids"])
 def test_meetings_are_the_studys(source):
     situation = situations()["C" if source == "echoes" else "B"]
-    known = ccm_looks.known_of(source, situation.sensor)
-    inputs = ccm_trial.Inputs(situation, ccm_looks.SOURCES.index(source), known, 1e-3)
+    known = looks.known_of(source, situation.sensor)
+    inputs = ccm_trial.Inputs(situation, looks.SOURCES.index(source), known, 1e-3)
     outcome = jax.jit(ccm_trial.trial)(KEY, jax.tree.map(jnp.asarray, inputs))
     cell = {"angle_deg": 60.0, "clutter_per_m2": 0.02, "echoes": 4.0, "source": source}
     name = "ccm" if source == "echoes" else "ccm_pings"

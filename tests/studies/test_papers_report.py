@@ -12,7 +12,8 @@ from rich.console import Console
 
 from jaxtrack import plots, studies
 from jaxtrack.cli import main
-from jaxtrack.studies import Study, papers_report, parts, shown, store, tables
+from jaxtrack.studies import Study, parts, shown, store, tables
+from jaxtrack.studies.report import papers
 from jaxtrack.studies.tables import Mark, Row
 from tests.studies.reading import checked
 
@@ -67,7 +68,7 @@ def out(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def page(out):
-    return checked((out / papers_report.FILE).read_text())
+    return checked((out / papers.FILE).read_text())
 
 
 def test_the_command_ends_with_the_page_and_its_size(tmp_path, capsys):
@@ -92,7 +93,7 @@ def test_a_resumed_study_tells_the_time_of_its_last_session(page, tmp_path):
     assert "since it was resumed" not in page.text
     (tmp_path / "nht" / parts.FOLDER).mkdir(parents=True)
     reproduced(tmp_path)
-    text = checked((tmp_path / papers_report.FILE).read_text()).text
+    text = checked((tmp_path / papers.FILE).read_text()).text
     assert len(re.findall(r"\d s since it was resumed, compilation included; ended", text)) == 1
     assert len(re.findall(r"\d s, compilation included; ended", text)) == 1  # the other one
 
@@ -136,8 +137,8 @@ def test_a_figure_without_words_is_told_by_its_name(out, tmp_path):
     for name in (shown.FILE, store.SUMMARY):
         (tmp_path / "nht" / name).write_bytes((out / "nht" / name).read_bytes())
     (tmp_path / "nht" / "figure_07_votes.png").write_bytes(b"\x89PNG\r\n\x1a\n")
-    (found,) = papers_report.found_in(tmp_path, {"nht": NHT, "ccm": CCM})
-    page = checked(papers_report.page_of([found]))
+    (found,) = papers.found_in(tmp_path, {"nht": NHT, "ccm": CCM})
+    page = checked(papers.page_of([found]))
     assert [a["alt"] for tag, a in page.tags if tag == "img"] == ["figure 07 votes"]
 
 
@@ -160,4 +161,4 @@ def test_what_is_printed_is_kept_and_printed_all_the_same():
 def test_a_folder_of_an_older_version_is_left_out(tmp_path):
     (tmp_path / "nht").mkdir()
     (tmp_path / "nht" / store.SUMMARY).write_text(json.dumps({"marks": []}))
-    assert papers_report.found_in(tmp_path, {"nht": NHT}) == []
+    assert papers.found_in(tmp_path, {"nht": NHT}) == []

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 
 from jaxtrack.cli import main
-from jaxtrack.studies import chunk_store, chunks, report_runs, run, study_report, summary
+from jaxtrack.studies import chunk_store, chunks, run, summary
 from jaxtrack.studies.design import read_design
-from jaxtrack.studies.html_page import folded, table
-from jaxtrack.studies.page_curves import steps
-from jaxtrack.studies.report_runs import trials_for
+from jaxtrack.studies.report import runs as report_runs
+from jaxtrack.studies.report import study as study_report
+from jaxtrack.studies.report.curves import steps
+from jaxtrack.studies.report.html_page import folded, table
+from jaxtrack.studies.report.runs import trials_for
 from tests.studies.own_study import FILE, bytes_in, written
 from tests.studies.reading import checked
 

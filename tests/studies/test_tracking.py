@@ -3,15 +3,12 @@ import pytest
 import xarray as xr
 
 from jaxtrack.sensors import tracking_scene
-from jaxtrack.studies import (
-    tables,
-    tracking,
-    tracking_consistency,
-    tracking_paper,
-    tracking_report,
-)
-from jaxtrack.studies.csht import CELLS
-from jaxtrack.studies.tracking_trial import FLOOR, TRACKERS, TRUTHS, quiet_looks
+from jaxtrack.studies import tables
+from jaxtrack.studies.csht.study import CELLS
+from jaxtrack.studies.tracking import consistency, report
+from jaxtrack.studies.tracking import paper as tracking_paper
+from jaxtrack.studies.tracking import study as tracking
+from jaxtrack.studies.tracking.trial import FLOOR, TRACKERS, TRUTHS, quiet_looks
 from jaxtrack.types import Truth
 
 NAMES = (*TRACKERS, FLOOR)
@@ -48,7 +45,7 @@ def made_up(*, joint=1.2, late=0, share_right=1.0, nees=4.0, trials=100):
 
 
 def verdicts(**options):
-    rows = tracking_report.marks(made_up(**options), made_up(**options).isel(cell=[5]))
+    rows = report.marks(made_up(**options), made_up(**options).isel(cell=[5]))
     return {row.what: tables.verdict(row.ours, row.mark) for row in rows}
 
 
@@ -75,11 +72,11 @@ def test_what_a_mark_forbids_fails(change, what):
 
 def test_generated_scenes_are_judged_too_where_there_are_some():
     good, bad = made_up(), made_up(share_right=0.8).isel(cell=[5])
-    rows = {row.what: row for row in tracking_report.marks(good, bad)}
+    rows = {row.what: row for row in report.marks(good, bad)}
     row = rows["generated scenes: hough joint, runs of the right number throughout"]
     assert tables.verdict(row.ours, row.mark) == "fails"
     assert not any(name.startswith("generated") for name in
-                   (row.what for row in tracking_report.marks(good)))  # fmt: skip
+                   (row.what for row in report.marks(good)))  # fmt: skip
 
 
 def test_the_papers_distances_are_roots_of_squared_averages():
@@ -91,8 +88,8 @@ def test_the_papers_distances_are_roots_of_squared_averages():
 
 def test_combined_is_below_the_mean_distance_where_errors_of_number_come_and_go():
     table = made_up(late=20)
-    mean = tracking_report._mean(table, 0, "visible", "hough joint", "distance")
-    both = tracking_report._mean(table, 0, "visible", "hough joint", "combined")
+    mean = report._mean(table, 0, "visible", "hough joint", "distance")
+    both = report._mean(table, 0, "visible", "hough joint", "combined")
     card, loc = 20 * 20 / LOOKS, 1.2 * (LOOKS - 20) / LOOKS
     np.testing.assert_allclose(mean.value, card + loc)
     np.testing.assert_allclose(both.value, np.hypot(card, loc))
@@ -110,16 +107,16 @@ def test_quiet_looks_are_those_outside_ten_seconds_after_a_birth_or_death():
 def test_figures_of_the_paper_are_found_by_rates():
     table = made_up(trials=2)
     at = [k for k, c in enumerate(CELLS) if (c.p_miss, c.p_false, c.sigma_m) == (0.1, 0.7, 3.0)]
-    assert tracking_report.paper_figure(table, at[0], "distance", "CSHT") == 1.91
+    assert report.paper_figure(table, at[0], "distance", "CSHT") == 1.91
     noisy = [k for k, c in enumerate(CELLS) if c.sigma_m == 5.0]
-    assert tracking_report.paper_figure(table, noisy[0], "cardinality", "Kalman") == 5.23
+    assert report.paper_figure(table, noisy[0], "cardinality", "Kalman") == 5.23
 
 
 def test_the_report_counts_what_is_left_out_and_which_tables_were_full():
     table = made_up(trials=2)
-    grid = tracking_report.consistency(table, "literal")
+    grid = report.consistency(table, "literal")
     assert all(cell == "4.0\n25.0 % left out" for cell in grid.columns[1]._cells)
-    said = tracking_report.full(table)
+    said = report.full(table)
     assert "hough joint 0.0 %," in said
     assert "kalman paper 100.0 % (at most 100.0 %" in said
 
@@ -141,14 +138,14 @@ def test_a_track_is_the_targets_that_it_is_near_most_of_its_life():
     mask[6, 0] = False
     mask[:, 3] = (np.arange(looks) == 1) | (np.arange(looks) == 2)
     covariance = np.broadcast_to(4.0 * np.eye(4), (looks, 4, 4, 4))
-    found = tracking_consistency.Found(mean, covariance, mask, identity)
+    found = consistency.Found(mean, covariance, mask, identity)
     truth = Truth(np.arange(looks), state, there)  # pyright: ignore
-    owner = np.asarray(tracking_consistency.owners(found, truth))
+    owner = np.asarray(consistency.owners(found, truth))
     assert (owner[mask[:, 0], 0] == 0).all()
     assert (owner[:, 1] == -1).all()
     assert owner[:, 2].tolist() == [1] * 4 + [-1] * 5
     assert (owner[mask[:, 3], 3] == -1).all()
-    squared, own, strays = tracking_consistency.consistency_of(found, truth)
+    squared, own, strays = consistency.consistency_of(found, truth)
     np.testing.assert_array_equal(own, [2, 2, 2, 2, 1, 1, 0, 0, 0])
     np.testing.assert_array_equal(strays, [1, 2, 2, 1, 2, 2, 2, 3, 3])
     first = np.where(np.arange(looks) < 6, 1.0, 0.0)

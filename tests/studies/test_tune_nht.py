@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from jaxtrack.studies import tables, tune_nht, tuned_report
-from jaxtrack.studies.tune_nht_trial import ORIGINS, loss_from, score_from
+from jaxtrack.studies import tables
+from jaxtrack.studies.tuned import nht as tune_nht
+from jaxtrack.studies.tuned import report
+from jaxtrack.studies.tuned.nht_trial import ORIGINS, loss_from, score_from
 from tests.metrics.differences import assert_gradients_agree
 
 METHODS = ("gradient", "TPE")
@@ -72,7 +74,7 @@ def test_bad_figures_fail_their_own_mark():
 
 
 def test_a_table_has_every_setting_and_its_standard_error():
-    table = tuned_report.table(made_up(), "corner", tune_nht.WORDS)
+    table = report.table(made_up(), "corner", tune_nht.WORDS)
     cells = [list(column.cells) for column in table.columns]
     assert cells[0][:3] == [
         "the paper's ε, the default", "study nht's wide ε", "gradient, the paper's"

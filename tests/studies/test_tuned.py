@@ -12,24 +12,14 @@ import xarray as xr
 from rich.console import Console
 
 from jaxtrack.numerics import positive
-from jaxtrack.studies import (
-    STUDIES,
-    Context,
-    store,
-    tables,
-    tpe,
-    tune_csht_trial,
-    tune_tracker_trial,
-    tuned,
-    tuned_report,
-)
-from jaxtrack.studies.tuned_ways import Case, Score, case_around, tune_all
+from jaxtrack.studies import STUDIES, Context, store, tables
+from jaxtrack.studies.tuned import csht_trial, report, tpe, tracker_trial
+from jaxtrack.studies.tuned import study as tuned
+from jaxtrack.studies.tuned.ways import Case, Score, case_around, tune_all
 from tests.metrics.differences import assert_gradients_agree
 
 TINY = {"a fifth": 0.2, "five times": 5.0}
-WORDS = tuned_report.Words(
-    {"bowl": "A bowl"}, {"x": ("x", "m"), "y": ("y", "")}, {}, ("far, m",), "m"
-)
+WORDS = report.Words({"bowl": "A bowl"}, {"x": ("x", "m"), "y": ("y", "")}, {}, ("far, m",), "m")
 EFFORT = tuned.SMOKE._replace(steps=40, batch=4, holdout=8, every=10)
 
 
@@ -63,7 +53,7 @@ def context_in(folder, trials=30, progress=lambda *_: None, screen=None):
 
 
 def run(context, effort=EFFORT):
-    marks = functools.partial(tuned_report.marks, words=WORDS)
+    marks = functools.partial(report.marks, words=WORDS)
     tuned.run_study(context, STUDIES["tune_tracker"], effort, CASES, WORDS, marks)
     return store.load(context.out)
 
@@ -134,7 +124,7 @@ def made_up(fifth, five, default=5.0, trials=400):
     ("means", "words"), [((4.0, 4.0), ["pass", "pass"]), ((4.0, 4.2), ["pass", "fails"])]
 )
 def test_a_tuning_passes_within_three_standard_errors_of_the_best(means, words):
-    rows = tuned_report.near_best(made_up(*means), "bowl", WORDS)
+    rows = report.near_best(made_up(*means), "bowl", WORDS)
     assert [tables.verdict(row.ours, row.mark) for row in rows[:2]] == words
     for row, mean in zip(rows[2:], means, strict=True):  # what is gained on the default
         assert row.ours.value == pytest.approx(5.0 - mean, abs=0.06)
@@ -167,7 +157,7 @@ def test_a_search_spends_what_a_fit_does_and_returns_the_best_that_was_held_out(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("trial", "key"), [(tune_csht_trial, 1), (tune_tracker_trial, 5)])
+@pytest.mark.parametrize(("trial", "key"), [(csht_trial, 1), (tracker_trial, 5)])
 def test_losses_are_smooth_in_all_that_is_tuned(trial, key):
     default = trial.hand()
 

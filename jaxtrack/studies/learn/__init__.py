@@ -1,0 +1,1 @@
+"""The study of learning through the tracker: a network that gives each echo a weight."""

@@ -1,0 +1,1 @@
+"""The studies of tuning by gradient: three cases, beside Optuna's TPE."""
