@@ -116,14 +116,19 @@ def csht(scans, n, _):
     return found.mean, found.existence, info.clusters.survival
 
 
-JOINT = JointSizes(tracks=2, hypotheses=48, candidates=16, starts=4, gap=2)
+# One track: what several leave each other is not differentiated.
+JOINT = JointSizes(tracks=1, hypotheses=48, candidates=16, starts=4, gap=2)
+
+
+def peaked(found, info):
+    """Return what is found, but where it is a place along a ridge and not a maximum."""
+    return jnp.where(info.definite[:, None], found.mean, 0.0), found.log_score, found.existence
 
 
 def joint(samples, scans, n, _):
     sensor = PositionSensor(n[2], n[1], n[0])
-    sizes = JOINT._replace(samples=samples)
-    found = hough.joint.estimate(scans, JointParams(sensor, SPEED, 3.0), sizes=sizes)[0]
-    return found.mean, found.log_score, found.existence
+    sizes = JOINT._replace(tracks=2 if samples else 1, samples=samples)
+    return peaked(*hough.joint.estimate(scans, JointParams(sensor, SPEED, 3.0), sizes=sizes))
 
 
 def beams(scans, n, _):
@@ -134,8 +139,7 @@ def beams(scans, n, _):
     )
     sonar = BeamSonar(n[1], n[2], n[0], sector_rad=2.0)
     params = JointParams(BeamSensor(sonar), hough.SpeedGate(0.0, 30.0), -5.0)
-    found = hough.joint.estimate(native, params, sizes=JOINT, observation=BEAMS)[0]
-    return found.mean, found.log_score, found.existence
+    return peaked(*hough.joint.estimate(native, params, sizes=JOINT, observation=BEAMS))
 
 
 def learned(scans, n, seed):

@@ -117,12 +117,7 @@ EXTREME = "at some of the extreme inputs a gradient is not finite"
 
 
 @pytest.mark.slow
-@every_case_but(
-    **{
-        "joint": "at one point in sixteen the search ends too far from the maximum",
-        "joint, beams": "not looked into",
-    }
-)
+@pytest.mark.parametrize("name", CASES)
 def test_jitted_gradients_equal_differences_at_smooth_points(name):
     if CASES[name].differs:
         pytest.skip(CASES[name].differs)

@@ -217,7 +217,9 @@ def _show(outcome: "Outcome", folder: pathlib.Path) -> None:
     rule = ""
     if design.until is not None:
         rule = f", or until the standard errors of {design.until.metric} are {design.until.se:g}"
-    console.print(f"{folder}: {trials} of {design.trials} trials{rule}", highlight=False)
+    console.print(
+        f"{folder}: {trials} of {design.trials} trials{rule}", highlight=False, soft_wrap=True
+    )
     if found is not None:
         heads, rows, fields = table_of(list(summary.rows(design, found)))
         whole = not console.is_terminal and "COLUMNS" not in os.environ
