@@ -19,10 +19,9 @@ def clip_each(
 
         ∇_u L ← ∇_u L · min(1, c / |∇_u L|),   params = g(u)
 
-    Gradients through many looks are heavy-tailed: through 40 looks of a tracker the norm was .08 in
-    the median and 15 in the worst of 200, so the mean points where a few realizations do. Clipped
-    one by one most of them count alike, as in a median, and the mean's error is small. `fit`'s own
-    `clip` bounds the mean, after the harm is done.
+    Gradients through many looks are heavy-tailed, so the mean points where a few realizations do.
+    Clipped one by one most of them count alike, as in a median, and the mean's error is small.
+    `fit`'s own `clip` bounds the mean, after the harm is done.
 
     Args:
         loss: as `fit` takes it.

@@ -198,6 +198,6 @@ STUDY = Study(
     trials_short=2,
     trials_full=2000,
     seconds_short=60.0,
-    seconds_full=900.0,
+    seconds_full=300.0,
     run=run,
 )

@@ -55,6 +55,6 @@ STUDY = Study(
     trials_short=2,
     trials_full=200,
     seconds_short=40.0,
-    seconds_full=600.0,
+    seconds_full=90.0,
     run=run,
 )
