@@ -139,7 +139,7 @@ def draw(
     figure = plots.means(
         {"": {name: (float(x.mean()), standard_error(x)) for name, x in mean.items()}},
         label="OSPA at the last look, m",
-        title="Two targets before a sonar that always reports, held-out scenes",
+        title="A sonar that always reports, held-out scenes",
     )
     plots.save(figure, out / "ospa_by_method.png")
     progress(1, total)
