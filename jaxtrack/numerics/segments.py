@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import jax
+import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 
 from jaxtrack.types import Array
@@ -23,7 +24,6 @@ def decided(x: Array) -> Array:
     is then not computed again.
 
     Example:
-        >>> import jax.numpy as jnp
         >>> print(decided(jnp.array([1, 0])))
         [1 0]
     """
@@ -34,7 +34,6 @@ def costly(x: Array) -> Array:
     """Return x as what is kept within a segment, "costly" to policies of `jax.checkpoint`.
 
     Example:
-        >>> import jax.numpy as jnp
         >>> print(costly(jnp.array([0.5])))
         [0.5]
     """
@@ -60,18 +59,25 @@ def scan_in_segments(
         The last state, and the infos [T, …].
 
     Example:
-        >>> import jax.numpy as jnp
         >>> step = lambda total, x: (total + x, jnp.sin(total))
         >>> total, infos = scan_in_segments(step, 0.0, jnp.arange(6.0))
         >>> print(total, infos.shape)
         15.0 (6,)
 
-    Note:
-        A segment's length is the largest divisor of T up to √T. Of a prime T that is one look, and
-        all states are kept: pad with looks that are not valid.
+    Raises:
+        ValueError: there is nothing in `xs`.
+
+    Source: A. Griewank, "Achieving Logarithmic Growth of Temporal and Spatial Complexity in Reverse
+        Automatic Differentiation", 1992, with two levels.
     """
+    if not jax.tree.leaves(xs):
+        raise ValueError("xs: got nothing, want a tree of arrays [T, …]")
     looks = jax.tree.leaves(xs)[0].shape[0]
-    length = max((n for n in range(1, math.isqrt(looks) + 1) if looks % n == 0), default=1)
+    root = max(math.isqrt(looks), 1)
+    divisor = max(n for n in range(1, root + 1) if looks % n == 0)
+    # Looks that are left over cost a program of their own: rather shorter segments than some.
+    length = divisor if 2 * divisor >= root else root
+    whole = looks - looks % length
     policy = jax.checkpoint_policies.save_only_these_names
     # Inside a loop nothing can be merged across the checkpoint anyway, hence no barrier.
     one = jax.checkpoint(step, prevent_cse=False, policy=policy(_DECIDED, _COSTLY))
@@ -80,6 +86,10 @@ def scan_in_segments(
         return jax.lax.scan(one, state, xs)
 
     segment = jax.checkpoint(segment, prevent_cse=False, policy=policy(_DECIDED))
-    xs = jax.tree.map(lambda x: x.reshape(looks // length, length, *x.shape[1:]), xs)
-    last, infos = jax.lax.scan(segment, init, xs)
-    return last, jax.tree.map(lambda y: y.reshape(looks, *y.shape[2:]), infos)
+    split = lambda x: x[:whole].reshape(whole // length, length, *x.shape[1:])
+    state, infos = jax.lax.scan(segment, init, jax.tree.map(split, xs))
+    infos = jax.tree.map(lambda y: y.reshape(whole, *y.shape[2:]), infos)
+    if whole == looks:
+        return state, infos
+    state, rest = segment(state, jax.tree.map(lambda x: x[whole:], xs))
+    return state, jax.tree.map(lambda *parts: jnp.concatenate(parts), infos, rest)

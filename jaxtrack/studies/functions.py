@@ -8,7 +8,7 @@ import importlib.util
 import itertools
 import pathlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib import resources
 from typing import Any
 
@@ -94,6 +94,16 @@ def forget_others(folder: pathlib.Path) -> None:
     _OWN.clear()
 
 
+@contextlib.contextmanager
+def beside(folder: pathlib.Path) -> Iterator[None]:
+    """Let what runs meanwhile import files of a folder."""
+    sys.path.insert(0, str(folder))
+    try:
+        yield
+    finally:
+        sys.path.remove(str(folder))
+
+
 def own_file(name: str, folder: pathlib.Path) -> pathlib.Path | None:
     """Return the file in a study's folder that a function's name means; None for others."""
     module, colon, _ = name.partition(":")
@@ -112,11 +122,16 @@ def files_of(file: pathlib.Path) -> dict[pathlib.Path, str]:
         one = left.pop()
         if one in found or file.parent not in one.parents:
             continue
-        found[one] = _digest(one)
-        with contextlib.suppress(SyntaxError, ValueError):  # Python will complain of it
+        found[one] = digest_of(one)
+        with contextlib.suppress(SyntaxError, ValueError, IndexError):  # Python will complain of it
             for node in ast.walk(ast.parse(one.read_bytes())):
                 left += _imported(node, one, file.parent)
     return found
+
+
+def digest_of(file: pathlib.Path) -> str:
+    """Return the digest of a file: as it was when it was imported, whatever it is now."""
+    return _OWN.get(file) or _digest(file)
 
 
 def _digest(file: pathlib.Path) -> str:
@@ -161,12 +176,10 @@ def _own_module(file: pathlib.Path) -> Any:
     _OWN.update(files_of(file))
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
-    sys.path.insert(0, str(file.parent))  # for the files beside it
     try:
-        spec.loader.exec_module(module)
+        with beside(file.parent):
+            spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         del sys.modules[name]
         raise ImportError(f"{file}: {type(error).__name__}: {error}") from error
-    finally:
-        sys.path.remove(str(file.parent))
     return module

@@ -118,10 +118,12 @@ def _store(
             folder, variables, trials=trials, chunk=chunk, attributes=attributes
         )
     store = chunk_store.open_chunks(folder)
-    kept = {**attributes, **store.attributes, "text": design.file.text}  # its words decide nothing
+    # Words decide nothing, nor where they stand.
+    words = {key: attributes[key] for key in ("text", "folder")}
+    kept = {**attributes, **store.attributes, **words}
     study: Any = store.attributes.get("study")
     if may_change and study != design.config and _ends_later(design.config, study):
-        kept |= {key: attributes[key] for key in ("study", "folder")}
+        kept["study"] = attributes["study"]
         study = {k: v for k, v in study.items() if k not in ("trials", "until")}
         study |= {k: v for k, v in design.config.items() if k in ("trials", "until")}
     there = {"study": study, "made_with": store.attributes.get("made_with")}
@@ -134,9 +136,15 @@ def _store(
             else "another study's trials"
         )
         raise StudyError(f"{folder}: holds {whose}; what differs: {'; '.join(differing)}")
-    if not may_change or (kept == store.attributes and store.arrays.keys() == variables.keys()):
+    missing = store.arrays.keys() != variables.keys()
+    if not may_change or (kept == store.attributes and not missing):
         return store
-    return chunk_store.amend(store, trials=design.trials, attributes=kept)
+    try:
+        return chunk_store.amend(store, trials=design.trials, attributes=kept)
+    except StudyError:
+        if missing or kept != {**store.attributes, **words}:
+            raise
+        return store  # a complete study may lie where none writes
 
 
 def _ends_later(new: Mapping[str, Any], old: Any) -> bool:

@@ -1,7 +1,6 @@
 """What results were made with: what decides their bits, and what is good to know."""
 
 import functools
-import hashlib
 import inspect
 import os
 import pathlib
@@ -13,7 +12,7 @@ from typing import Any
 import jax
 
 from jaxtrack.studies.design import Design
-from jaxtrack.studies.functions import files_of, own_file
+from jaxtrack.studies.functions import digest_of, files_of, own_file
 from jaxtrack.studies.store import made_with, source_digest
 
 _ABSENT = "nothing"
@@ -48,10 +47,7 @@ def decisive(design: Design) -> dict[str, Any]:
         "xla_flags": " ".join(sorted(flags.split())),
         "settings": {name: str(getattr(jax.config, name)) for name in _SETTINGS},
         "source": source_digest(),
-        "functions": {
-            name: hashlib.sha256(file.read_bytes()).hexdigest()
-            for name, file in sorted(_files(design).items())
-        },
+        "functions": {name: digest_of(file) for name, file in sorted(_files(design).items())},
     }
 
 

@@ -19,8 +19,10 @@ def printed(study: str, metric: str) -> dict[str, np.ndarray]:
     """
     file = resources.files("jaxtrack.studies") / "files" / f"{study}.toml"
     tables = tomllib.loads(file.read_text(encoding="utf-8"))["compare"]
-    return {
-        one["method"]: np.array(one["value"])
-        for one in tables
-        if one["name"] == "paper" and metric in np.atleast_1d(one["metric"])
-    }
+    ours = [
+        one for one in tables if one["name"] == "paper" and metric in np.atleast_1d(one["metric"])
+    ]
+    found = {one["method"]: np.array(one["value"]) for one in ours}
+    if len(found) != len(ours):
+        raise ValueError(f"metric: got {metric}, want one with a single table a method in {study}")
+    return found

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtrack.studies import chunk_store, chunks, summary
 from jaxtrack.studies.design import Design, design_of
 from jaxtrack.studies.hold import opened
-from jaxtrack.studies.processes import END, LOOK_AGAIN_S, Processes, together
+from jaxtrack.studies.processes import END, LEFT, LOOK_AGAIN_S, Processes, together
 from jaxtrack.studies.trials import compute, programs_of, variables_of
 
 
@@ -59,12 +59,13 @@ def run_study(
         design: of the study.
         folder: for its results; one that holds them already must be of the same study, which may
             have ended earlier: with fewer trials, or a larger error in `until`.
-        team: the run's processes, if the caller has them together already.
+        team: the run's processes, if the caller has them together already; for one run.
         on_progress: called now and then.
         stopped: asked after each chunk whether that was the last for now.
 
     Raises:
         StudyError: a function does not fit, the folder is of another study, or the disk fails.
+        ValueError: the team has run a study before.
 
     Example:
         >>> import tempfile
@@ -83,6 +84,8 @@ def run_study(
         >>> bool(0.2 < outcome.found.mean["size.negative"] < 0.8)
         True
     """
+    if team is not None and team.told(LEFT):
+        raise ValueError("team: got one that has run a study, want a new one")
     with contextlib.nullcontext(team) if team else together() as team:
         programs = programs_of(design)
         variables = variables_of(design, programs)

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtrack.montecarlo import monte_carlo
 from jaxtrack.studies.chunks import Variable
 from jaxtrack.studies.design import Design, Part, axes_of
+from jaxtrack.studies.functions import beside
 from jaxtrack.studies.study_file import StudyError
 from jaxtrack.types import Array, Key
 
@@ -71,7 +72,7 @@ def _program(
     }
 
     def call(part: Part, params: Any, *given: Any) -> Any:
-        with _named(design, part, given):
+        with _named(design, part, given), beside(design.folder):
             return part.call(*given, **static[part.where], **params[0][part.where])
 
     def trial(key: Key, params: Any) -> dict[str, Array]:

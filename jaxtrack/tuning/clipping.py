@@ -57,15 +57,36 @@ def clip_each(
     return clipped
 
 
+def length(tree: Any) -> Array:
+    """Return the norm of a pytree's leaves together, also where their squares overflow.
+
+    Example:
+        >>> print(length({"a": jnp.float32(3e30), "b": jnp.float32(4e30)}))
+        5e+30
+    """
+    largest = jnp.stack([abs(x).max(initial=0) for x in jax.tree.leaves(tree)]).max()
+    unit = jnp.where(jnp.isfinite(largest) & (largest > 0), largest, 1)
+    return unit * optax.tree.norm(jax.tree.map(lambda x: x / unit.astype(x.dtype), tree))
+
+
+def shortened(tree: Any, norm: Array, most: float) -> Any:
+    """Return a pytree of a norm, scaled down to another one where that is less.
+
+    Example:
+        >>> print(shortened({"a": 4.0 * jnp.ones(1)}, 4.0, 1.0)["a"])
+        [1.]
+    """
+    scale = jnp.where(norm > most, most / jnp.where(norm > most, norm, 1), 1)
+    return jax.tree.map(lambda x: x * scale.astype(x.dtype), tree)
+
+
 def _passed(bijector: Bijector, most: float, params: Any) -> tuple[Any, Any]:
     return params, params
 
 
 def _back(bijector: Bijector, most: float, params: Any, gradient: Any) -> tuple[Any]:
     _, back = jax.vjp(bijector.forward, bijector.inverse(params))
-    norm = optax.tree.norm(back(gradient))
-    scale = jnp.where(norm > most, most / jnp.where(norm > most, norm, 1.0), 1.0)
-    return (jax.tree.map(lambda x: x * scale.astype(x.dtype), gradient),)
+    return (shortened(gradient, length(back(gradient)), most),)
 
 
 def _identity(bijector: Bijector, most: float, params: Any) -> Any:

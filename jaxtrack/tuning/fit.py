@@ -17,6 +17,7 @@ from jaxtrack.numerics.bijectors import Bijector, bijector_of, identity
 from jaxtrack.numerics.checks import check_array, check_key, check_known, check_size
 from jaxtrack.numerics.safe import as_float
 from jaxtrack.tuning.checkpoint import digest, read, write
+from jaxtrack.tuning.clipping import length, shortened
 from jaxtrack.tuning.objectives import mean_loss, programs
 from jaxtrack.types import Array, Key
 
@@ -148,7 +149,8 @@ def fit(
         memory = optimizer.init(free)
     state = _State(free, memory, _no_history(start))
     folder = None if checkpoint is None else pathlib.Path(checkpoint)
-    settings = batch, holdout, bool(fresh), clip, every, patience, micro_batch
+    bound = None if clip is None else float(clip)
+    settings = batch, holdout, bool(fresh), bound, every, patience, micro_batch
     made_by = digest(key, (start, free, memory), *settings)
     if folder is not None:
         state = read(folder, made_by, state) or state
@@ -207,7 +209,7 @@ def fit(
         best_step=step,
         held_out=float(history.held_out[best]),
         held_out_error=float(history.held_out_error[best]),
-        stopped_early=_waited(history.held_out, patience),
+        stopped_early=made < steps,
         history=history,
     )
 
@@ -223,11 +225,8 @@ def _advance(
     def advance(free: Any, memory: Any, loss: Any, in_params: Any, key: Key) -> tuple[Any, ...]:
         _, back = jax.vjp(bijector.forward, free)
         (gradient,) = back(in_params)
-        norm = optax.tree.norm(gradient)
-        clipped = gradient
-        if clip is not None:
-            scale = jnp.where(norm > clip, clip / jnp.where(norm > clip, norm, 1.0), 1.0)
-            clipped = jax.tree.map(lambda x: x * scale.astype(x.dtype), gradient)
+        norm = length(gradient)
+        clipped = gradient if clip is None else shortened(gradient, norm, clip)
         # What a line search evaluates; others never trace it.
         elsewhere = lambda u: on_batch(key, params=bijector.forward(u)).mean
         extra = {"value": loss, "grad": gradient, "value_fn": elsewhere}

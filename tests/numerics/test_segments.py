@@ -29,7 +29,7 @@ def case(looks, seed=0):
     return rng.normal(size=SIZE), rng.normal(size=(looks, SIZE))
 
 
-@pytest.mark.parametrize("looks", [0, 1, 7, 12])
+@pytest.mark.parametrize("looks", [0, 1, 7, 12, 31])
 def test_it_is_the_scan_bit_for_bit(looks):
     start, xs = case(looks)
     run = lambda scan: jax.jit(lambda *at: scan(walk, (at[0], jnp.zeros((), jnp.int32)), at[1]))
@@ -38,7 +38,7 @@ def test_it_is_the_scan_bit_for_bit(looks):
     assert got[1]["x"].shape == (looks, SIZE)
 
 
-@pytest.mark.parametrize("looks", [1, 7, 12])
+@pytest.mark.parametrize("looks", [1, 7, 12, 31])
 def test_its_gradients_are_the_scan_s(looks):
     at = case(looks)
     got, expected = (

@@ -4,6 +4,7 @@ import pytest
 
 from jaxtrack.studies.design import read_design
 from jaxtrack.studies.functions import files_of, find_function
+from jaxtrack.studies.made import decisive
 from jaxtrack.studies.run import open_study, run_study
 from jaxtrack.studies.study_file import StudyError
 from tests.studies.own_study import BESIDE, FILE, written
@@ -49,6 +50,27 @@ def test_a_change_of_what_is_imported_is_refused_with_the_files_name(tmp_path):
     (tmp_path / "lib" / "deep.py").write_text("one = 1\n")
     (tmp_path / "nobodys.py").write_text("two = 2\n")
     assert run_study(open_study(out), out).complete
+
+
+def test_trials_go_under_the_code_that_computed_them(tmp_path):
+    file = written(tmp_path)
+    design = read_design(file)
+    before = decisive(design)["functions"]
+    (tmp_path / "beside.py").write_text("def absolute(x):\n    return 7.0\n")
+    assert decisive(design)["functions"] == before
+    assert decisive(read_design(file))["functions"] != before
+
+
+def test_what_a_function_imports_when_it_is_called_is_found(tmp_path):
+    file = written(tmp_path)
+    late = BESIDE.replace("return", "import later\n\n    return later.one *")
+    planted(tmp_path, {"beside.py": late, "later.py": "one = 1.0\n"})
+    assert run_study(read_design(file), tmp_path / "out").complete
+
+
+def test_an_import_from_above_the_folder_is_left_to_python(tmp_path):
+    planted(tmp_path, {"mine.py": "from ................................ import x\n"})
+    assert len(files_of(tmp_path / "mine.py")) == 1
 
 
 def test_what_has_changed_beside_a_file_is_imported_anew(tmp_path):

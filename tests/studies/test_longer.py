@@ -146,3 +146,11 @@ def test_the_file_that_is_stored_is_the_longer_one(home, tmp_path, capsys):
     design_with(home, 32)
     assert main(["study", "run", str(home / "study.toml"), "--out", str(out)]) == 2
     assert "study.trials: 40 there, 32 here" in capsys.readouterr().err
+
+
+def test_a_study_that_was_moved_goes_on_from_its_new_place(tmp_path):
+    out = tmp_path / "out"
+    run_study(read_design(written(tmp_path / "old", FILE)), out)
+    shutil.move(tmp_path / "old", tmp_path / "new")
+    assert run_study(read_design(tmp_path / "new" / "study.toml"), out).complete
+    assert open_study(out).folder == tmp_path / "new"

@@ -34,6 +34,12 @@ def test_gradients_are_scaled_down_to_the_norm_and_short_ones_stay():
     assert 0 < long < 20
 
 
+def test_gradients_whose_squares_overflow_are_scaled_down_too():
+    steep = lambda x, key: (x * jnp.float32(1e25)).sum()
+    slope = jax.grad(clip_each(steep, 0.5))(jnp.ones(4, jnp.float32), jax.random.key(0))
+    np.testing.assert_allclose(slope, 0.25, rtol=1e-6)
+
+
 def test_every_realization_under_vmap_has_a_bound_of_its_own():
     keys = jax.random.split(jax.random.key(0), 9)
     slope = jax.jit(jax.grad(clip_each(squared, 0.5, BIJECTORS)))

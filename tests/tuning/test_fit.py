@@ -156,6 +156,7 @@ def test_it_stops_when_the_held_out_loss_gets_no_better():
     result = run(optimizer=optax.sgd(0.0), steps=100, patience=2)
     assert result.stopped_early
     assert result.history.evaluated.tolist() == [0, 10, 20]
+    assert not run(optimizer=optax.sgd(0.0), steps=20, patience=2).stopped_early
     assert result.best_step == 0
 
 

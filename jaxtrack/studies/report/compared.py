@@ -122,7 +122,8 @@ def section(design: Design, lines: Mapping[str, Sequence[Line]]) -> Html:
             "p",
             "Ours beside what the study's file compares it with. What is wanted is missed (fails) "
             "when the whole 95 % interval lies on its wrong side; against another variable of the "
-            "study, the interval is that of the difference on the same draws.",
+            "study, the interval is that of the difference on the same draws. Each cell is judged "
+            "by itself: where the truth lies on the bound, one in forty is missed by chance.",
         )
     ]
     for place, (metric, these) in enumerate(lines.items()):

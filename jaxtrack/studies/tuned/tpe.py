@@ -85,7 +85,7 @@ def search(
         if done == 1:
             evaluate(0)
         if done % every == 0 or done == steps:
-            evaluate(int(np.argmin(losses)))
+            evaluate(int(np.nanargmin(losses)))
         progress(done, steps)
     table = {name: np.array([params[name] for params in tried]) for name in start}
     return Search(table, np.array(losses), np.array(best), np.array(means))

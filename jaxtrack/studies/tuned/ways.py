@@ -193,7 +193,7 @@ def _descend(
     )
     seconds = np.nan if again else time.perf_counter() - began
     history = result.history
-    best = [int(np.argmin(history.held_out[: n + 1])) for n in range(len(history.held_out))]
+    best = _so_far(history.held_out)
     steps = np.stack([history.params[name] for name in case.bounds], axis=-1)
     at = history.evaluated[best]
     return Way(history.realizations, steps[at], seconds, steps), result
@@ -220,11 +220,16 @@ def _search(
     like = tpe.Search(dict.fromkeys(case.bounds, 0), *(0, 0, 0)), 0.0  # pyright: ignore
     found, seconds = parts.keep_part(context, what, searched, like, key, effort.steps, budget)
     steps = np.stack([found.tried[name] for name in case.bounds], axis=-1)
-    best = [int(np.argmin(found.held_out[: n + 1])) for n in range(len(found.held_out))]
+    best = _so_far(found.held_out)
     evaluations = np.arange(len(best))
     done = np.minimum(evaluations * effort.every, effort.steps)
     realizations = done * effort.batch + (evaluations + 1) * effort.holdout
     return Way(realizations, steps[found.best[best]], float(seconds), steps)
+
+
+def _so_far(losses: np.ndarray) -> list[int]:
+    """Return which is the least of those up to each."""
+    return [int(np.nanargmin(losses[: n + 1])) for n in range(len(losses))]
 
 
 def label(method: str, start: str) -> str:
