@@ -32,8 +32,8 @@ def study(
 ) -> int:
     """Run a study that a TOML file describes, go on with it, see how far it is, or report it.
 
-    The last three are for several processes, on one machine or many, that share a study's folder;
-    under SLURM they are found out.
+    The options from --coordinator-address on are for several processes, on one machine or many,
+    that share a study's folder; under SLURM they are found out.
 
     Args:
         action: run a file (and go on, if its folder is there); resume or show a folder, or write
@@ -45,28 +45,47 @@ def study(
         num_processes: how many there are.
         process_id: which of them this is, from 0 on.
     """
-    use_all_cores()
-    from jaxtrack.studies.processes import together
-    from jaxtrack.studies.report.study import write_report
-    from jaxtrack.studies.run import run_study, status_of
-    from jaxtrack.studies.study_file import StudyError
-
     joint = (coordinator_address, num_processes, process_id)
     if out is not None and action in ("status", "resume"):
         return fail(f"--out: is for run and report; {action} takes the folder itself")
-    if action in ("status", "report") and any(value is not None for value in joint):
+    if action in ("run", "resume"):
+        # From the first line on: JAX drops a KeyboardInterrupt that comes as it collects garbage.
+        with _interrupts() as stopped:
+            return _run(action, target, out, joint, stopped)
+    if any(value is not None for value in joint):
         return fail("--coordinator-address, --num-processes, --process-id: are for run and resume")
+    from jaxtrack.studies.report.study import write_report
+    from jaxtrack.studies.run import status_of
+    from jaxtrack.studies.study_file import StudyError
+
     try:
         if action == "status":
             _show(status_of(target), target)
-            return 0
-        if action == "report":
+        else:
             print(write_report(status_of(target), target, out))
-            return 0
+    except (StudyError, OSError) as error:
+        return fail(line(error))
+    return 0
+
+
+def _run(
+    action: str,
+    target: pathlib.Path,
+    out: pathlib.Path | None,
+    joint: tuple[str | None, int | None, int | None],
+    stopped: Callable[[], bool],
+) -> int:
+    """Run a study to its end, or as far as the user lets it."""
+    use_all_cores()
+    from jaxtrack.studies.processes import together
+    from jaxtrack.studies.run import run_study
+    from jaxtrack.studies.study_file import StudyError
+
+    try:
         first = _join(*joint)
         with together() as team:
             design, folder = _study_of(action, target, out)
-            with _interrupts() as stopped, _progress_line(shown=first) as report:
+            with _progress_line(shown=first) as report:
                 outcome = run_study(design, folder, team=team, on_progress=report, stopped=stopped)
     except (StudyError, OSError) as error:
         return fail(line(error))

@@ -146,7 +146,8 @@ def open_chunks(folder: pathlib.Path) -> Chunks:
         attributes = dict(zarr.open_group(results, mode="r+", zarr_format=3).attrs)
     except Exception as error:  # whatever zarr makes of a broken file
         reason = " ".join(str(error).split())
-        raise StudyError(f"{results / 'zarr.json'}: cannot be read: {reason}") from error
+        only = "it alone tells what the chunks are: restore it, or begin in another folder"
+        raise StudyError(f"{results / 'zarr.json'}: cannot be read: {reason}; {only}") from error
     if "format" not in attributes:
         raise StudyError(f"{folder}: holds results, but not those of a study's file")
     if attributes["format"] != FORMAT:

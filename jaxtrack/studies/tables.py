@@ -243,21 +243,17 @@ def beneath(
 
 
 def number(value: float, unit: str = "") -> str:
-    """Return a number in three digits, a dash where there is none.
+    """Return a number in three digits, in two if it is tiny, a dash where there is none.
 
     Example:
-        >>> number(0.9754), number(float("nan")), number(7.84, "m")
-        ('.975', '–', '7.84 m')
+        >>> number(0.9754), number(float("nan")), number(7.84, "m"), number(0.000028)
+        ('.975', '–', '7.84 m', '2.8e-05')
     """
     if not np.isfinite(value):
         return "–"
-    text = (
-        f"{value:.3f}"
-        if abs(value) < 1
-        else f"{value:.3g}"
-        if abs(value) < 1000
-        else f"{value:.0f}"
-    )
+    small = 0 < abs(value) < 5e-4
+    form = ".2g" if small else ".3f" if abs(value) < 1 else ".3g" if abs(value) < 1000 else ".0f"
+    text = f"{value:{form}}"
     if text.startswith(("0.", "-0.")) and abs(value) < 1:
         text = text.replace("0.", ".", 1)
     if unit == "rad":

@@ -153,7 +153,11 @@ def kalman_tracker(
     numbers = params.sigma_m, params.sigma_a_m_s2, params.birth_sigma_m_s, params.birth_sigma_m
     of: Filter[Any] = straight_filter(*numbers) if filter is None else filter
     sees = check_sight(p_detect)
-    way = (hard_lives if lives is None else lives)(params.gate, params.lifecycle)
+    try:
+        way = (hard_lives if lives is None else lives)(params.gate, params.lifecycle)
+    except TypeError as error:
+        want = "None or a function of a gate and LifecycleParams, as soft_lives() returns"
+        raise TypeError(f"lives: got {lives!r}, want {want}") from error
 
     dtype = as_float(params.sigma_m).dtype
 

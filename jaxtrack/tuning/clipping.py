@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import optax
 
 from jaxtrack.numerics.bijectors import Bijector, bijector_of, identity
-from jaxtrack.numerics.checks import check_known
+from jaxtrack.numerics.checks import check_array, check_known
 from jaxtrack.types import Array, Key
 
 
@@ -32,6 +32,7 @@ def clip_each(
         A new function: define it once, as every loss.
 
     Raises:
+        TypeError: `loss` is no function, or `most` no number.
         ValueError: `most` is not positive.
 
     Example:
@@ -48,6 +49,9 @@ def clip_each(
         least loss. Watch what is held out.
         What is not finite stays so, for `fit` to leave the step out. In reverse mode only.
     """
+    if not callable(loss):
+        raise TypeError(f"loss: got {type(loss).__name__}, want a function of params, key")
+    check_array("most", most, shape=())
     check_known("most", most, lambda c: c > 0, "a positive number")
     bijector = bijector_of(identity() if bijectors is None else bijectors)
 

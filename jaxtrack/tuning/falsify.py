@@ -104,6 +104,7 @@ def falsify(
     check_size("verify", verify)
     low, high = _check_bounds(low, high)
     streams = [jax.random.fold_in(key, stream) for stream in range(4)]
+    _check_verdict(verdict, low, key)
     fitted, begun = [], []
     down, (judge, judge_any) = _negative(loss), _judges(verdict)
     for n in range(starts):
@@ -176,6 +177,14 @@ def _judges(verdict: Callable[[Any, Key], Any]) -> tuple[Callable[..., Any], Cal
         return verdict(uniform_scene(place, *bounds), rest)
 
     return given, ordinary
+
+
+def _check_verdict(verdict: Callable[[Any, Key], Any], scene: Any, key: Key) -> None:
+    """Refuse before the ascents what could not be averaged after them."""
+    if not callable(verdict):
+        raise TypeError(f"verdict: got {type(verdict).__name__}, want a function of scene, key")
+    for leaf in jax.tree.leaves(jax.eval_shape(verdict, scene, key)):
+        check_array("verdict", leaf, shape=())
 
 
 def _check_bounds(low: Any, high: Any) -> tuple[Any, Any]:

@@ -88,6 +88,7 @@ def fit(
         params: pytree of numbers and arrays to start from, inside their bijectors' range.
         optimizer: any of optax; a schedule counts its steps. A line search, as in `optax.lbfgs`,
             goes by the mean loss of the step's realizations: let them be common, `fresh=False`.
+            `optax.contrib.sam`, which takes no such extras, is not offered.
         key: all randomness; a step's realizations have keys of their own.
         steps: at most.
         batch: realizations a step.

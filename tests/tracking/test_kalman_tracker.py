@@ -11,7 +11,7 @@ import pytest
 
 from jaxtrack.association import ASSOCIATORS
 from jaxtrack.numerics import scan_in_segments
-from jaxtrack.tracking import KalmanTrackerParams, LifecycleParams, kalman_tracker
+from jaxtrack.tracking import KalmanTrackerParams, LifecycleParams, kalman_tracker, soft_lives
 from jaxtrack.types import Scan, Stage
 from tests.metrics.differences import assert_gradients_agree
 from tests.oracles import tracker as oracle
@@ -379,3 +379,9 @@ def test_a_run_in_segments_is_the_run_and_its_gradient_takes_few_times_its_memor
     alone = lambda scan: lambda *at: loss(scan, *at)[0]
     back = jax.grad(alone(scan_in_segments), (0, 1))
     assert needed(compiled(back)) < times * needed(compiled(alone(jax.lax.scan)))
+
+
+@pytest.mark.parametrize("lives", ["soft", soft_lives])
+def test_lives_that_are_none_are_refused(lives):
+    with pytest.raises(TypeError, match=r"lives: got .*, want None or a function"):
+        kalman_tracker(KalmanTrackerParams(1.0, 0.1, 0.9, 1e-4), max_tracks=3, lives=lives)

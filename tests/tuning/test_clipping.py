@@ -79,3 +79,16 @@ def test_float32_stays_and_a_bound_that_is_none_is_refused():
     assert {leaf.dtype for leaf in jax.tree.leaves(slope)} == {np.dtype(np.float32)}
     with pytest.raises(ValueError, match=r"most: got 0\.0, want a positive number"):
         clip_each(squared, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "words"),
+    [
+        ({"most": "a"}, TypeError, "most: got str"),
+        ({"most": -1.0}, ValueError, "most: got -1"),
+        ({"loss": None}, TypeError, "loss: got NoneType"),
+    ],
+)
+def test_arguments_that_cannot_be_are_refused(change, error, words):
+    with pytest.raises(error, match=words):
+        clip_each(**{"loss": squared, "most": 1.0, **change})

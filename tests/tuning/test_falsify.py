@@ -39,7 +39,8 @@ SIZES = {"starts": 3, "steps": 80, "batch": 4, "holdout": 16, "verify": 64}
 def run(**changes):
     arguments = {"low": LOW, "high": HIGH, "key": jax.random.key(1)} | SIZES | changes
     low, high = arguments.pop("low"), arguments.pop("high")
-    return falsify(hill, height, low, high, optax.adam(0.2), **arguments)
+    verdict = arguments.pop("verdict", height)
+    return falsify(hill, verdict, low, high, optax.adam(0.2), **arguments)
 
 
 @functools.cache
@@ -96,6 +97,10 @@ def test_what_cannot_be_is_named():
         run(high={"x": HIGH["x"]})
     with pytest.raises(ValueError, match=r"high\['x'\]: got shape"):
         run(high=HIGH | {"x": 3.0})
+    with pytest.raises(TypeError, match="verdict: got NoneType, want a function"):
+        run(verdict=None)
+    with pytest.raises(ValueError, match=r"verdict: got shape \[2\]"):
+        run(verdict=lambda scene, key: scene["x"])
     with pytest.raises(ValueError, match="starts: got 0, want an int ≥ 1"):
         run(starts=0)
 

@@ -15,6 +15,7 @@ from jaxtrack.studies.report import figures as report_figures
 from jaxtrack.studies.report import runs as report_runs
 from jaxtrack.studies.report.html_page import Html, Section, joined, tag
 from jaxtrack.studies.run import Outcome
+from jaxtrack.studies.study_file import StudyError
 from jaxtrack.studies.tables import plus_minus
 
 FILE = "report.html"
@@ -32,11 +33,16 @@ def write_report(outcome: Outcome, folder: pathlib.Path, out: pathlib.Path | Non
         The file's name and size.
 
     Raises:
-        OSError: it cannot be written.
+        StudyError: it cannot be written.
     """
-    if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-    return html_page.write((out or folder) / FILE, report_of(outcome, folder))
+    file = (out or folder) / FILE
+    try:
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+        return html_page.write(file, report_of(outcome, folder))
+    except OSError as error:
+        why = error.strerror or error
+        raise StudyError(f"{file}: cannot be written: {why}; --out names another folder") from error
 
 
 def report_of(outcome: Outcome, folder: pathlib.Path) -> str:
