@@ -155,7 +155,7 @@ def killed_and_resumed(tmp_path, kills, seed):
 
 
 def test_a_study_killed_in_two_processes_ends_in_the_same_bytes(tmp_path):
-    resumed, whole = killed_and_resumed(tmp_path, 1, seed=0)
+    resumed, whole = killed_and_resumed(tmp_path, 3, seed=0)
     assert resumed == whole
 
 
