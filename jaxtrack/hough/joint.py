@@ -171,7 +171,7 @@ def estimate(
         def up(state: Array, _: None) -> tuple[Array, None]:
             """Go as much of the step as does not lead down: the search ends before the maximum."""
             move = newton(state, fixed, fixed_sensor)[0]
-            states = state + jnp.asarray(_SHARES, dtype)[:, None] * move
+            states = state[None] + jnp.asarray(_SHARES, dtype)[:, None] * move[None]
             scores = jax.vmap(lambda x: total(x, fixed, fixed_sensor))(states)
             lost = (scores[-1] - scores) / (1 + abs(scores[-1]))
             return states[jnp.argmax(lost < 8 * jnp.finfo(dtype).eps)], None
