@@ -164,7 +164,8 @@ def innovations(predicted: Predicted, scan: Scan) -> Innovations:
     xy = v[:, 0, 1][:, None] + noise[1]
     yy = v[:, 1, 1][:, None] + noise[2]
     determinant = xx * yy - xy * xy
-    definite = (determinant > 0) & (xx > 0)
+    # What is less is rounding, of which the compiler makes another each time it makes this anew.
+    definite = (determinant > 4 * jnp.finfo(dtype).eps * xx * yy) & (xx > 0)
     determinant = jnp.where(definite, determinant, 1.0)
     over = 1 / determinant
     inverse = yy * over, -xy * over, xx * over

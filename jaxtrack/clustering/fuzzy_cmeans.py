@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxtrack.numerics.checks import check_array, check_known, check_size
-from jaxtrack.numerics.safe import as_float
+from jaxtrack.numerics.safe import as_float, safe_divide
 from jaxtrack.types import Array
 
 
@@ -213,7 +213,7 @@ def _shares(
     tiny = tiny + jnp.finfo(samples.dtype).tiny
     on_it = (active[:, None] & (squares < tiny)).astype(samples.dtype)
     far = active[:, None] & (squares >= tiny) & (nearest >= tiny)
-    ratio = jnp.where(far, nearest, 1.0) / jnp.where(far, squares, 1.0)
+    ratio = safe_divide(jnp.where(far, nearest, 1.0), jnp.where(far, squares, 1.0))
     power = jnp.exp(jnp.log(ratio) / (fuzzifier - 1))
     ratio = jnp.where(far, ratio, on_it)
     share = jnp.where(far, power, on_it)

@@ -9,6 +9,8 @@ from jaxtrack.hough.slope_intercept import LineGrid, LineSizes, cell_centres
 from jaxtrack.numerics.safe import safe_divide
 from jaxtrack.types import Array
 
+_LEAST = 1e-30  # votes; a line of fewer is none: its gradient is beyond single precision
+
 
 class Cells(NamedTuple):
     """The cells of a vote matrix that pass the primary threshold, strongest first."""
@@ -107,6 +109,7 @@ def single_line(
         weight = jnp.where(votes > share * peak, votes, 0.0)
     else:
         peak = jax.lax.top_k(votes.ravel(), 1)[0][0]
+        votes = jnp.where(peak > _LEAST, votes, 0.0)
         weight = votes * jax.nn.sigmoid((safe_divide(votes, peak) - share) / temperature)
     return _centroid(weight, grid, sizes)
 

@@ -114,7 +114,11 @@ def _cholesky(matrix: Array, floor: float) -> tuple[Array, Array, Array]:
         lower[j][j] = jnp.sqrt(jnp.where(pivot > floor, pivot, floor))
         for i in range(j + 1, n):
             rest = matrix[i, j] - sum(lower[i][k] * lower[j][k] for k in range(j))
-            lower[i][j] = rest / lower[j][j]
+            # Row i of L has the length √A_ii. Of a matrix that is not definite entries would grow
+            # from column to column without end.
+            entry = rest / lower[j][j]
+            bound = 4 * jnp.where(matrix[i, i] > floor, matrix[i, i], floor)
+            lower[i][j] = jnp.where(entry * entry <= bound, entry, 0.0)
     for j in range(n):
         inverse[j][j] = 1 / lower[j][j]
         for i in range(j + 1, n):

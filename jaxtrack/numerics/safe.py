@@ -89,9 +89,17 @@ def _quotient(numerator: Array, denominator: Array) -> Array:
 
 @_quotient.defjvp
 def _quotient_jvp(at: tuple[Array, Array], along: tuple[Array, Array]) -> tuple[Array, Array]:
-    # The tangent of `/` itself squares the denominator, which below 1e-19 single precision cannot.
-    quotient = at[0] / at[1]
-    return quotient, (along[0] - quotient * along[1]) / at[1]
+    quotient = _quotient(*at)
+    return quotient, _tiny_alike(along[0] - quotient * along[1], at[1])
+
+
+def _tiny_alike(numerator: Array, denominator: Array) -> Array:
+    """Return a quotient whose gradient squares no denominator.
+
+    That of `/` does, which below 1e-19 single precision cannot hold.
+    """
+    unit = jax.lax.stop_gradient(1 / denominator)
+    return numerator * unit / (denominator * unit)
 
 
 def safe_log(x: ArrayLike, floor: ArrayLike | None = None) -> Array:
@@ -111,7 +119,17 @@ def safe_log(x: ArrayLike, floor: ArrayLike | None = None) -> Array:
     x = as_float(x)
     lowest = jnp.asarray(jnp.finfo(x.dtype).tiny if floor is None else floor, dtype=x.dtype)
     low = x <= lowest
-    return jnp.where(low, jnp.log(lowest), jnp.log(jnp.where(low, 1.0, x)))
+    return jnp.where(low, jnp.log(lowest), _log(jnp.where(low, 1.0, x)))
+
+
+@jax.custom_jvp
+def _log(x: Array) -> Array:
+    return jnp.log(x)
+
+
+@_log.defjvp
+def _log_jvp(at: tuple[Array], along: tuple[Array]) -> tuple[Array, Array]:
+    return _log(*at), _tiny_alike(*along, *at)
 
 
 def safe_arctan2(y: ArrayLike, x: ArrayLike) -> Array:

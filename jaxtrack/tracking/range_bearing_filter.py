@@ -127,7 +127,8 @@ def _inverse(matrix: Array) -> tuple[Array, Array]:
     """Return inverses of matrices [T, 2, 2], and which have one."""
     a, b, c, d = (matrix[:, i, j] for i in (0, 1) for j in (0, 1))
     determinant = a * d - b * c
-    regular = determinant != 0
+    rounding = 4 * jnp.finfo(matrix.dtype).eps * (jnp.abs(a * d) + jnp.abs(b * c))
+    regular = jnp.abs(determinant) > rounding
     over = 1 / jnp.where(regular, determinant, 1.0)
     rows = jnp.stack([d, -b], axis=1), jnp.stack([-c, a], axis=1)
     return over[:, None, None] * jnp.stack(rows, axis=1), regular
