@@ -167,7 +167,8 @@ def innovations(predicted: Predicted, scan: Scan) -> Innovations:
     # What is less is rounding, of which the compiler makes another each time it makes this anew.
     definite = (determinant > 4 * jnp.finfo(dtype).eps * xx * yy) & (xx > 0)
     determinant = jnp.where(definite, determinant, 1.0)
-    over = 1 / determinant
+    # Without an inverse there is none: entries themselves may be too large to be squared.
+    over = jnp.where(definite, 1 / determinant, 0.0)
     inverse = yy * over, -xy * over, xx * over
     return Innovations(x, y, noise, inverse, determinant, pair & definite, weight[None])
 
