@@ -72,8 +72,8 @@ def safe_divide(numerator: ArrayLike, denominator: ArrayLike, fallback: ArrayLik
     Example:
         >>> safe_divide(jnp.array([1.0, 1.0]), jnp.array([2.0, 0.0]), fallback=7.0).tolist()
         [0.5, 7.0]
-        >>> jax.grad(safe_divide, 1)(1e-30, 1e-30) < -1e29
-        Array(True, dtype=bool)
+        >>> print(f"{jax.grad(safe_divide, 1)(1e-30, 1e-30):.0e}")
+        -1e+30
     """
     denominator = as_float(denominator)
     zero = jnp.abs(denominator) < jnp.finfo(denominator.dtype).tiny
