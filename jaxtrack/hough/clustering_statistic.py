@@ -217,7 +217,7 @@ def _cluster(
     )
     first = jnp.pad(first, (0, sizes.patterns - sizes.start), constant_values=-1)
     # The gradient is that of the fixed point: it is as far off as the centres are.
-    tolerance = 1e-4 if width is None else float(jnp.finfo(dtype).eps) ** 0.5
+    tolerance = 1e-4 if width is None else min(1e-4, float(jnp.finfo(dtype).eps) ** 0.5)
     clusters = isodata(
         samples,
         cells.votes,
