@@ -116,7 +116,7 @@ def _propagate(weight: Array, miss: Array, iterations: int) -> tuple[Array, Arra
 def _scaled(weight: Array, miss: Array) -> tuple[Array, Array]:
     # A row's scale is no matter, but of the largest numbers sums are none, nor reciprocals.
     weight = jnp.minimum(weight, jnp.finfo(jnp.result_type(weight, float)).max / 1024)
-    largest = jax.lax.stop_gradient(weight.max(1, initial=0.0))
+    largest = jax.lax.stop_gradient(weight).max(1, initial=0.0)
     scale = jnp.where(largest > _LARGE, largest, 1.0)
     return weight / scale[:, None], pda.floored(miss / scale)
 

@@ -103,7 +103,7 @@ def extract(
         rho, theta = at
         near = jnp.where(votes.mask, votes.weight * kernel.nearby(rho, theta, prepared), 0.0)
         # Only shares count; of votes that all but vanish a quotient's slope would overflow.
-        most, limits = jax.lax.stop_gradient(near.max()), jnp.finfo(near.dtype)
+        most, limits = jax.lax.stop_gradient(near).max(), jnp.finfo(near.dtype)
         some = most > limits.tiny / limits.eps
         near = jnp.where(some, near / jnp.where(some, most, 1.0), 0.0)
         d_rho, d_theta = line_difference(rho, theta, votes.rho_m, votes.theta_rad)

@@ -34,8 +34,7 @@ def check_array(name: str, value: Any, *, shape: tuple[int | str, ...] | None = 
     try:
         if value is None or isinstance(value, str):  # which name dtypes
             raise TypeError
-        dtype = jnp.result_type(value)
-        got = jnp.shape(value)
+        dtype, got = jnp.result_type(value), jnp.shape(value)
     except TypeError as error:
         raise TypeError(f"{name}: got {type(value).__name__}, want an array of numbers") from error
     numeric = jnp.issubdtype(dtype, jnp.number) or jnp.issubdtype(dtype, jnp.bool_)
