@@ -47,7 +47,7 @@ class Inputs(NamedTuple):
     """What one program is run with. Traced."""
 
     situation: Situation
-    source: Array | int  # [] place in `ccm_looks.SOURCES`
+    source: Array | int  # [] place in `ccm.looks.SOURCES`
     known: Known
     least_clutter_per_m2: Array | float  # β₀: what associators assume where there is less
 
@@ -130,7 +130,7 @@ def meeting(
         clutter_per_m2: drawn; a sonar has its own.
         echoes: of a detected target, drawn.
         least_clutter_per_m2: β₀: what associators assume where there is less.
-        source: one of `ccm_looks.SOURCES`, static.
+        source: one of `ccm.looks.SOURCES`, static.
     """
     sensor = EchoSensor(clutter_per_m2=clutter_per_m2, echoes=echoes)
     situation = Situation(Meeting(angle_deg * (math.pi / 180), gap_m, sigma_a_m_s2), sensor)

@@ -149,7 +149,7 @@ def window(
 
     Args:
         key: random key.
-        false_alarms: one of `csht_cells.VARIANTS`, static.
+        false_alarms: one of `csht.cells.VARIANTS`, static.
         p_miss: of a look at a target.
         p_false: of a beam, or of a look.
         sigma_m: of a range.

@@ -4,7 +4,7 @@ In correlated, spiky clutter that the joint vote does not know, weights come fro
 threshold, from a network trained on labels, from the same network that went on through the joint
 vote, and from the true likelihood ratio, the ceiling. Threshold, bound of the weights and gate are
 chosen for each on the same scenes; then all are scored on others. Beside it: which of a sonar's
-specifications matters to the joint vote (`learn_sensitivity`).
+specifications matters to the joint vote (`learn.sensitivity`).
 """
 
 import functools

@@ -2,7 +2,7 @@
 
 The soft estimator's tolerance, its primary threshold and the thresholds by which ISODATA combines
 and deletes patterns are tuned by the gradient of a smooth OSPA, from a fifth and from five times of
-the defaults; beside it Optuna's TPE, as `tuned` has it.
+the defaults; beside it Optuna's TPE, as `tuned.study` has it.
 
 The share δ below which a pattern is deleted has a slope in few windows, where a pattern holds about
 as little as that, and from both starts it becomes small: false patterns hold as many votes as true

@@ -2,7 +2,7 @@
 
 In situation IV with 10 clutter a scan the paper's ε finds nothing. ε is tuned by the gradient of a
 soft vote's candidate softmax, from the paper's values, a tenth and ten times, with ρ measured from
-the field's corner and from its centre; beside it Optuna's TPE, as `tuned` has it.
+the field's corner and from its centre; beside it Optuna's TPE, as `tuned.study` has it.
 """
 
 import numpy as np

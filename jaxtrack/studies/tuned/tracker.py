@@ -3,8 +3,8 @@
 The gate, the process and the measurement noise, the speed that a new track may have and the
 evidence that confirms one are tuned by the gradient of a smooth OSPA through forty looks of the
 tracker with soft lives, from a fifth and from five times of what is set by hand; beside it Optuna's
-TPE, as `tuned` has it. A few scenes have gradients many times as long as the others', for which the
-mean over scenes points anywhere: each scene's is clipped.
+TPE, as `tuned.study` has it. A few scenes have gradients many times as long as the others', so that
+their mean points anywhere: each scene's is clipped.
 """
 
 import functools
